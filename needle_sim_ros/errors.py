@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every error this package raises on purpose, under one root."""
+
+
+class NeedleSimError(Exception):
+    """Root of all errors of this package."""
+
+
+class SceneError(NeedleSimError):
+    """A scene that cannot be simulated.
+
+    Parameters
+    ----------
+    key : str
+        Dotted key of the scene, e.g. ``tissue.youngs_modulus``.
+    value : object
+        The value that was given.
+    allowed : str
+        What would have been accepted.
+    """
+
+    def __init__(self, key: str, value: object, allowed: str) -> None:
+        self.key = key
+        self.value = value
+        self.allowed = allowed
+        super().__init__(f"{key} = {value!r}: {allowed}")
+
+
+class CommandError(NeedleSimError):
+    """A base command that cannot be carried out; the state is unchanged."""
+
+
+class SolverError(NeedleSimError):
+    """A numerical failure inside a tick; the state is unchanged."""
+
+
+class SessionError(NeedleSimError):
+    """A recorded session that cannot be written or read."""
