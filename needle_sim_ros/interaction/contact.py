@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One step of the needle in the tissue: contact, puncture, insertion, hold, retraction.
+
+Replaces the iteration of Fig. 10 and the stiffness coupling of Eqs. (17) and (22) to (24):
+the lateral forces, the friction and the tip force of a step are the solution of one
+bounded convex problem in the compliances of tissue and needle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needle_sim_ros.errors import CommandError
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.balance import Balance, TipLimit
+from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.track import Track, TrackLayer
+from needle_sim_ros.needle import tip
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.response import ResponseTable
+
+# of the cutting rate of the last step, how much of it the next one is taken to cut beforehand
+_FORESIGHT = 0.98
+# how far the tip may end from where a step took it to be, in track spacings
+_SETTLED = 0.02
+_MOST_ROUNDS = 400
+_STILL = 1e-12
+
+FreeRows = Callable[[ResponseTable], Vector]
+Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What the base does in a step, and what the tissue would do by itself.
+
+    Attributes
+    ----------
+    before, after : BasePose
+    duration : float
+        s.
+    free : callable
+        Displacement of the rows of a table at the end of the step without contact
+        forces, (d, n).
+    sample : callable
+        Displacement (d,) of a footprint under forces on the rows of a table.
+    """
+
+    before: BasePose
+    after: BasePose
+    duration: float
+    free: FreeRows
+    sample: Sampler
+
+    @property
+    def advance(self) -> float:
+        """How far the base moves along the needle, m."""
+        return float(self.after.axial @ (self.after.origin - self.before.origin))
+
+
+class Contact:
+    """The contact between one needle and one tissue.
+
+    Parameters
+    ----------
+    scene : Scene
+    layer : TrackLayer
+    laws : Laws
+    """
+
+    def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
+        self._scene, self._layer, self.laws = scene, layer, laws
+        self._balance = Balance(scene, laws)
+        self._bevel = tip.bevel_length(scene.needle)
+        self._half = np.array(scene.tissue.size) / 2
+        self._dimension = scene.dimension
+
+    def at_rest(self) -> ContactState:
+        """Return the state of a needle that has touched nothing."""
+        d = self._dimension
+        return ContactState(
+            lateral=np.empty((d - 1, 0)), moved=np.empty((d, 0)), forces=np.empty((d, 0))
+        )
+
+    def change_laws(self, laws: Laws, state: ContactState) -> ContactState:
+        """Take other laws from now on; return the state with the limits of its track."""
+        self.laws = self._layer.laws = self._balance.laws = laws
+        if state.track is None:
+            return state
+        return replace(state, track=state.track.with_limits(laws))
+
+    def step(self, state: ContactState, step: Step) -> ContactState:
+        """Return the state at the end of a step.
+
+        Raises
+        ------
+        CommandError
+            When the step would take the needle where the model ends.
+        """
+        if not state.inserted:
+            state = self._approach(state, step)
+        if not (state.touching or state.inserted):
+            return state
+        if state.touching:
+            state = self._press(state, step)
+            if not state.inserted:
+                return state
+        return self._slide(state, step)
+
+    # ------------------------------------------------------------------ above the surface
+    def _tip(self, pose: BasePose) -> Vector:
+        return np.asarray(pose.origin + self._scene.needle.length * pose.axial)
+
+    def _approach(self, state: ContactState, step: Step) -> ContactState:
+        """Find out whether the free tip meets the surface or the old channel."""
+        if state.touching:
+            return state
+        ends = self._tip(step.after)
+        if ends[-1] >= 0:
+            return self._released(state, step)
+        starts = self._tip(step.before)
+        part = starts[-1] / (starts[-1] - ends[-1]) if starts[-1] > 0 else 1.0
+        entry = starts + part * (ends - starts)
+        entry[-1] = 0.0
+        if (np.abs(entry[:-1]) > self._half[:-1]).any():
+            if (np.abs(ends[:-1]) < self._half[:-1]).all() and ends[-1] > -2 * self._half[-1]:
+                raise CommandError(
+                    f"the tip would enter the tissue through a side, at {ends.tolist()} m"
+                )
+            return self._released(state, step)
+        if self._meets_channel(state, entry):
+            return replace(self._released(state, step), inserted=True, depth=0.0, rate=0.0)
+        if starts[-1] < -_STILL:
+            raise CommandError(f"the tip would enter the tissue from below, at {ends.tolist()} m")
+        track = self._layer.touch(entry, step.after.axial)
+        fresh = self.at_rest()
+        return replace(
+            fresh,
+            track=track,
+            touching=True,
+            moved=np.zeros((self._dimension, 1)),
+            forces=np.zeros((self._dimension, 1)),
+        )
+
+    def _meets_channel(self, state: ContactState, entry: Vector) -> bool:
+        if state.track is None or state.front <= 0:
+            return False
+        return bool(
+            np.linalg.norm(entry - state.track.points[0]) <= self._scene.needle.radius
+        )
+
+    def _released(self, state: ContactState, step: Step) -> ContactState:
+        track = state.track
+        if track is not None and state.front <= 0:
+            track = None
+        rest = replace(self.at_rest(), track=track, front=state.front if track else 0.0)
+        if track is None:
+            return rest
+        zero = np.zeros((self._dimension, track.count))
+        return replace(rest, moved=step.free(track.table), forces=zero)
+
+    # --------------------------------------------------------------- before the puncture
+    def _press(self, state: ContactState, step: Step) -> ContactState:
+        """Contact of the tip with the unbroken surface (Eqs. 9 to 14)."""
+        assert state.track is not None
+        limit = self.laws.at(state.track.points[0]).puncture
+        solution = self._balance.touch(state.track, step.after, step.free(state.track.table), limit)
+        if solution.tip <= 0 and solution.overlap <= 0:
+            return self._released(replace(state, front=0.0), step)
+        if solution.overlap <= 0:
+            return replace(state, **solution.fields(), touching=True)
+        # the surface breaks: the same step goes on with a track
+        direction = self._heading(step, state.track, solution.slope, state.forces, 0.0)
+        track = self._layer.start(state.track.points[0], direction)
+        wider = np.zeros((self._dimension, track.count))
+        wider[:, :1] = state.moved
+        return replace(
+            self.at_rest(),
+            track=track,
+            inserted=True,
+            moved=wider,
+            forces=np.zeros_like(wider),
+        )
+
+    # ----------------------------------------------------------------- in the tissue
+    def _slide(self, state: ContactState, step: Step) -> ContactState:
+        """Insertion, hold and retraction: find the forces and how far the tip gets."""
+        assert state.track is not None
+        advance = step.advance
+        heading = 0 if abs(advance) <= _STILL else (1 if advance > 0 else -1)
+        rate = state.rate if heading == state.heading else 0.0
+        depth, front = state.depth, state.front
+        engaged = depth >= front
+        if engaged and heading > 0:
+            depth = front = front + _FORESIGHT * rate * advance
+        elif not engaged:
+            depth = float(np.clip(depth + rate * advance, 0.0, front))
+        track, moved, forces = state.track, state.moved, state.forces
+        strain, slip = state.strain, state.slip
+        solves = 0
+        slope = self._balance.slope(state)
+        solution = None
+        for _ in range(_MOST_ROUNDS):
+            while depth >= (track.count - 1) * track.spacing:
+                direction = self._heading(step, track, slope, forces, depth)
+                track = self._extended(track, direction)
+            moved = _known(moved, track, step)
+            limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
+            solution = self._balance.inserted(
+                track, step, moved, strain, slip, state.status, depth, limit
+            )
+            solves += solution.solves
+            forces, slope = solution.forces, solution.slope
+            change = solution.overlap / float(step.after.axial @ track.direction(depth))
+            if engaged:
+                settled = abs(change) <= _SETTLED * track.spacing
+                if change > 0:
+                    front += min(change, track.spacing)
+                    depth = front
+                elif change < 0:
+                    depth, engaged = front + max(change, -track.spacing), False
+            else:
+                settled = abs(change) <= _SETTLED * track.spacing and depth + change < front
+                depth += float(np.clip(change, -track.spacing, track.spacing))
+                if depth >= front:
+                    depth, engaged = front, True
+            if depth <= 0 and heading <= 0:
+                return self._drawn_out(track, front, step)
+            depth = max(depth, 0.0)
+            if settled:
+                break
+        assert solution is not None
+        if depth >= self._scene.needle.length:
+            raise CommandError(
+                f"the needle's whole length, {self._scene.needle.length:g} m, would be inserted"
+            )
+        went = (depth - state.depth) / advance if heading else 0.0
+        return replace(
+            state,
+            **{**solution.fields(), "solves": solves},
+            track=track,
+            touching=False,
+            inserted=True,
+            depth=depth,
+            front=front,
+            rate=float(np.clip(went, 0.0, 1.0)),
+            heading=heading,
+        )
+
+    def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
+        zero = np.zeros((self._dimension, track.count))
+        moved = step.free(track.table)
+        return replace(self.at_rest(), track=track, front=front, moved=moved, forces=zero)
+
+    def _tip_limit(
+        self,
+        state: ContactState,
+        track: Track,
+        front: float,
+        engaged: bool,
+        advance: float,
+        duration: float,
+    ) -> TipLimit:
+        """Return what the tip bears: cutting while it advances, less and less in a hold."""
+        if not engaged:
+            return TipLimit(0.0, self._bevel)
+        cutting = self.laws.cutting(self.laws.at(track.at(front)).cutting, front)
+        if advance <= _STILL:
+            cutting = min(cutting, self.laws.relaxed(state.tip, duration))
+        return TipLimit(cutting, self._bevel)
+
+    def _extended(self, track: Track, direction: Vector) -> Track:
+        point = track.points[-1] + track.spacing * direction
+        if (np.abs(point[:-1]) > self._half[:-1]).any() or not -2 * self._half[-1] <= point[-1] <= 0:
+            raise CommandError(f"the tip would leave the tissue at {point.tolist()} m")
+        return self._layer.extend(track, direction)
+
+    def _heading(
+        self, step: Step, track: Track, slope: Vector, forces: Vector, depth: float
+    ) -> Vector:
+        """Return the direction of the next piece of track, in the undeformed tissue.
+
+        The direction in space is pulled back by how the tissue ahead of the tip is turned,
+        over one needle diameter: a length of the needle, not of the mesh.
+        """
+        needle, pose = self._scene.needle, step.after
+        direction = tip.cutting_direction(needle, pose.axial, pose.lateral, slope)
+        if not forces.any():
+            return direction
+        place = track.at(depth) if track.count > 1 else track.points[0]
+        ahead = 2 * needle.radius
+        section = self._layer.coupling.section
+        here = step.sample(track.table, forces, section(place, direction))
+        there = step.sample(track.table, forces, section(place + ahead * direction, direction))
+        material = direction - (there - here) / ahead
+        return np.asarray(material / np.linalg.norm(material))
+
+
+def _known(moved: Vector, track: Track, step: Step) -> Vector:
+    """Give points laid within the step the displacement they have without forces."""
+    if moved.shape[1] == track.count:
+        return moved
+    wider = step.free(track.table).copy()
+    wider[:, : moved.shape[1]] = moved
+    return wider
+

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contact problem of a tick: min 1/2 x'Ax - b'x with low <= x <= high.
+
+A is the compliance of tissue, needle and presliding, symmetric positive definite, so the
+solution exists, is unique and depends on no history. Projected Newton (Bertsekas 1982):
+variables at a bound that the gradient presses outwards stay there, the others take a
+Newton step, and the projected step is shortened until the objective falls by Armijo's
+rule. Every iteration lowers a strictly convex function and there are finitely many sets
+of bound variables, so it ends; a warm start usually makes it end after one step. Should
+rounding stall it all the same, the dual active-set method for bounded least squares
+(Stark and Parker 1995), which ends by construction, takes over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack, solve_triangular
+from scipy.optimize import lsq_linear
+
+from needle_sim_ros.errors import SolverError
+from needle_sim_ros.geometry import Vector
+
+_MOST_ITERATIONS = 50
+
+
+@dataclass(frozen=True)
+class ContactSolution:
+    """Solution of the bounded problem.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+    gradient : ndarray, shape (n,)
+        A x - b: the multipliers of the bounds, 0 for free variables.
+    status : ndarray of int8, shape (n,)
+        -1 at the lower bound, 1 at the upper, 0 between.
+    iterations : int
+        Linear systems solved.
+    """
+
+    x: Vector
+    gradient: Vector
+    status: NDArray[np.int8]
+    iterations: int
+
+
+def solve_contact(
+    matrix: Vector,
+    right: Vector,
+    low: Vector,
+    high: Vector,
+    status: NDArray[np.int8],
+    tolerance: float = 1e-10,
+) -> ContactSolution:
+    """Solve the bounded problem.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+        Symmetric positive definite.
+    right, low, high : ndarray, shape (n,)
+        Bounds may be infinite and may coincide.
+    status : ndarray of int8, shape (n,)
+        Guess of which variables are at a bound; any guess leads to the same solution.
+    tolerance : float
+        Allowed multiplier of the wrong sign, relative to the largest entry of `right`.
+
+    Raises
+    ------
+    SolverError
+        When the matrix is not positive definite.
+    """
+    scale = max(float(np.abs(right).max(initial=0.0)), 1e-300)
+    allowed = tolerance * scale
+    x = np.where(status < 0, low, np.where(status > 0, high, 0.0))
+    free = status == 0
+    x[free] = _newton(matrix, right, x, free)
+    np.clip(x, low, high, out=x)
+    gradient = matrix @ x - right
+    for iteration in range(1, _MOST_ITERATIONS):
+        at_low, at_high = x <= low, x >= high
+        pressed = (at_low & (gradient > 0)) | (at_high & (gradient < 0))
+        free = ~pressed
+        if not free.any() or float(np.abs(gradient[free]).max()) <= allowed:
+            state = np.zeros(len(x), dtype=np.int8)
+            state[at_low & pressed] = -1
+            state[at_high & ~at_low & pressed] = 1
+            # free variables that happen to stand on a bound count as free
+            return ContactSolution(x, gradient, state, iteration)
+        target = x.copy()
+        target[free] = _newton(matrix, right, x, free)
+        x, gradient = _armijo(matrix, right, x, gradient, target, low, high, free)
+    return _bounded_least_squares(matrix, right, low, high)
+
+
+def _newton(matrix: Vector, right: Vector, x: Vector, free: NDArray[np.bool_]) -> Vector:
+    """Minimise over the free variables, the others held."""
+    count = int(np.count_nonzero(free))
+    if count == 0:
+        return np.empty(0)
+    if count == len(x):
+        block, load = matrix, right
+    else:
+        rows = np.flatnonzero(free)
+        if rows[-1] == count - 1:  # the leading block needs no gather
+            block = matrix[:count, :count]
+            load = right[:count] - matrix[:count, count:] @ x[count:]
+        else:
+            block = matrix[np.ix_(rows, rows)]
+            held = np.flatnonzero(~free)
+            load = right[rows] - matrix[np.ix_(rows, held)] @ x[held]
+    # the transpose of a symmetric block is Fortran-ordered without a second copy
+    factor, info = lapack.dpotrf(block.T, lower=1, clean=0)
+    if info != 0:
+        raise SolverError("the contact compliance is not positive definite")
+    solution, _ = lapack.dpotrs(factor, load, lower=1)
+    return np.asarray(solution)
+
+
+def _bounded_least_squares(
+    matrix: Vector, right: Vector, low: Vector, high: Vector
+) -> ContactSolution:
+    factor, info = lapack.dpotrf(matrix, lower=1, clean=1)
+    if info != 0:
+        raise SolverError("the contact compliance is not positive definite")
+    wider = np.nextafter(high, np.inf)  # the method wants low < high
+    load = solve_triangular(factor, right, lower=True)
+    result = lsq_linear(factor.T, load, (low, wider), method="bvls", tol=1e-15)
+    x = np.clip(result.x, low, high)
+    return ContactSolution(
+        x, matrix @ x - right, result.active_mask.astype(np.int8), int(result.nit) + _MOST_ITERATIONS
+    )
+
+
+def _armijo(
+    matrix: Vector,
+    right: Vector,
+    x: Vector,
+    gradient: Vector,
+    target: Vector,
+    low: Vector,
+    high: Vector,
+    free: NDArray[np.bool_],
+) -> tuple[Vector, Vector]:
+    step = 1.0
+    direction = target - x
+    slope = float(gradient[free] @ direction[free])
+    while True:
+        trial = np.clip(x + step * direction, low, high)
+        moved = trial - x
+        change = matrix @ moved
+        fall = float(gradient @ moved + 0.5 * (moved @ change))
+        if fall <= 1e-4 * step * slope or step < 1e-10:
+            return trial, gradient + change
+        step *= 0.5

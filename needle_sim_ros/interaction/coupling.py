@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the needle touches the tissue: means over its cross-section along the track.
+
+P_k u = int phi_k <u> ds / int phi_k ds, with phi_k the hat function of track point k and
+<u> the mean over the cross-section perpendicular to the track: in 2D the chord of length
+2 r. The same operator samples displacement (K_StoP, Eqs. 18 and 19) and spreads force
+(K_PtoS, its transpose, Eqs. 20 and 21), so action and reaction agree, and a limit under
+refinement exists, which point forces do not have.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.model import TissueModel
+
+_CHORD, _CHORD_WEIGHT = np.polynomial.legendre.leggauss(8)
+_ALONG, _ALONG_WEIGHT = np.polynomial.legendre.leggauss(3)
+
+
+class Coupling:
+    """Makes footprints on the mesh of a tissue.
+
+    Parameters
+    ----------
+    model : TissueModel
+    radius : float
+        Needle radius r, m.
+    """
+
+    def __init__(self, model: TissueModel, radius: float) -> None:
+        self._model, self._radius = model, radius
+
+    def hat(self, before: Vector | None, point: Vector, after: Vector) -> Footprint:
+        """Return the footprint of a track point.
+
+        Parameters
+        ----------
+        before, point, after : ndarray, shape (d,)
+            Reference positions of the neighbours and of the point, m; no `before` for
+            the entry, which has half a hat.
+        """
+        places, weights = [], []
+        for other in (before, after):
+            if other is None:
+                continue
+            span = other - point
+            part = 0.5 * (_ALONG + 1)  # 0 at the point, 1 at the neighbour
+            length = float(np.linalg.norm(span))
+            section, share = self._section(span / length)
+            along = point + part[:, None] * span
+            places.append((along[:, None, :] + section[None, :, :]).reshape(-1, len(point)))
+            hat = 0.5 * _ALONG_WEIGHT * (1 - part) * length
+            weights.append((hat[:, None] * share[None, :]).ravel())
+        return self._gather(np.concatenate(places), np.concatenate(weights))
+
+    def section(self, point: Vector, direction: Vector) -> Footprint:
+        """Return the mean over one cross-section, perpendicular to a unit direction (d,)."""
+        section, share = self._section(direction)
+        return self._gather(point + section, share)
+
+    def _section(self, direction: Vector) -> tuple[Vector, Vector]:
+        normal = np.array([-direction[1], direction[0]])
+        return self._radius * _CHORD[:, None] * normal, 0.5 * _CHORD_WEIGHT
+
+    def _gather(self, places: Vector, weights: Vector) -> Footprint:
+        nodes, values, inside = self._model.shape_functions(places)
+        if not inside.all():
+            # a cross-section at the surface or a side counts with the part in the tissue
+            if not inside.any():
+                inside = np.ones(len(places), dtype=bool)
+            nodes, values, weights = nodes[inside], values[inside], weights[inside]
+        share = values * weights[:, None]
+        merged, where = np.unique(nodes.ravel(), return_inverse=True)
+        total = np.bincount(where.ravel(), weights=share.ravel(), minlength=len(merged))
+        keep = np.abs(total) > 1e-14 * np.abs(total).max()
+        return Footprint(merged[keep], total[keep] / total.sum())
+
+
+def coverage(depth: float, count: int, spacing: float) -> Vector:
+    """Return the inserted length that each track point carries, shape (count,), m.
+
+    The integral of hat k from the entry to `depth`: it grows smoothly as the tip passes,
+    and all of them add up to `depth` once the last hat is reached.
+    """
+    t = np.clip(depth / spacing - np.arange(count), -1.0, 1.0)
+    length = spacing * np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
+    length[0] -= spacing * 0.5  # the entry has no hat above the surface
+    return np.maximum(length, 0.0)

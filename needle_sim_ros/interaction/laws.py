@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much the tissue resists: friction per length, cutting, puncture, by place (Fig. 3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.scene import Interaction, Region, Scene
+from needle_sim_ros.tissue.material import in_space, inside
+
+
+@dataclass(frozen=True)
+class LocalLaws:
+    """Limits at one place of the tissue.
+
+    Attributes
+    ----------
+    static, kinetic : float
+        Friction per length, N/m.
+    cutting, puncture : float
+        Axial force at the tip, N.
+    """
+
+    static: float
+    kinetic: float
+    cutting: float
+    puncture: float
+
+
+class Laws:
+    """The laws of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its interaction and the regions that override it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.interaction: Interaction = scene.interaction
+        self._regions: tuple[Region, ...] = scene.tissue.regions
+
+    def at(self, point: Vector) -> LocalLaws:
+        """Return the limits at a point of the mesh, shape (d,)."""
+        friction, cutting = self.interaction.friction, self.interaction.cutting
+        puncture = self.interaction.puncture.force
+        limits = {
+            "static": friction.static,
+            "kinetic": friction.kinetic,
+            "cutting": cutting.force,
+            "puncture": cutting.force if puncture is None else puncture,
+        }
+        world = in_space(point)
+        for region in self._regions:
+            if not inside(region, world):
+                continue
+            own = {
+                "static": region.friction_static,
+                "kinetic": region.friction_kinetic,
+                "cutting": region.cutting_force,
+                "puncture": region.puncture_force,
+            }
+            limits |= {name: value for name, value in own.items() if value is not None}
+        limits["static"] = max(limits["static"], limits["kinetic"])
+        limits["puncture"] = max(limits["puncture"], limits["cutting"])
+        return LocalLaws(**limits)
+
+    def friction(self, static: Vector, kinetic: Vector, slip: Vector) -> Vector:
+        """Return the friction limit per length after a slip, N/m, shapes (n,).
+
+        Static friction falls to kinetic over the weakening distance (segments DE, FG).
+        """
+        left = np.clip(1.0 - slip / self.interaction.friction.weakening_distance, 0.0, 1.0)
+        return np.asarray(kinetic + (static - kinetic) * left)
+
+    def cutting(self, force: float, depth: float) -> float:
+        """Return the cutting force at a depth, N, with its periodic ripple (line AB)."""
+        ripple = self.interaction.cutting.ripple
+        if ripple.amplitude == 0:
+            return force
+        return force * (1 + ripple.amplitude * math.sin(2 * math.pi * depth / ripple.wavelength))
+
+    def relaxed(self, force: float, duration: float) -> float:
+        """Return a tip force after a hold of some duration (t1 to t2), N."""
+        return force * math.exp(-duration / self.interaction.cutting.relaxation_time)

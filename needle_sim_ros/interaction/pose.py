@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The base in the coordinates of the mesh (x z in 2D, x y z in 3D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from needle_sim_ros.geometry import Vector, rotation_matrix
+
+
+@dataclass(frozen=True)
+class BasePose:
+    """Pose of the needle base: Eqs. (12) and (15), as axes instead of angles.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (d,)
+        The clamp.
+    axial : ndarray, shape (d,)
+        Unit vector along the undeflected needle.
+    lateral : ndarray, shape (d - 1, d)
+        Unit vectors of deflection: base x, and base y in 3D.
+    """
+
+    origin: Vector
+    axial: Vector
+    lateral: Vector
+
+    @classmethod
+    def of(cls, position: Vector, quaternion: Vector, dimension: int) -> BasePose:
+        """Take the pose of the base, position (3,) and quaternion x y z w."""
+        kept = [0, 2] if dimension == 2 else [0, 1, 2]
+        rotation = rotation_matrix(quaternion)[kept]
+        return cls(
+            np.asarray(position)[kept], rotation[:, 2].copy(), rotation[:, : dimension - 1].T.copy()
+        )
+
+    def along(self, point: Vector) -> Vector:
+        """Return the axial coordinate of points (..., d), m from the clamp."""
+        return np.asarray((point - self.origin) @ self.axial)
+
+    def aside(self, point: Vector) -> Vector:
+        """Return the lateral coordinates of points (..., d): shape (..., d - 1), m."""
+        return np.asarray((point - self.origin) @ self.lateral.T)

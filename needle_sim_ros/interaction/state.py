@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the contact remembers from one step to the next; replaced, never changed in place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.track import Track
+
+
+def _none() -> Vector:
+    return np.empty(0)
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """State of the contact after a step.
+
+    Attributes
+    ----------
+    track : Track or None
+        None before the first contact; a channel when the needle has left it.
+    touching : bool
+        The tip presses on the unbroken surface.
+    inserted : bool
+        The surface is broken and the tip below it.
+    depth : float
+        Position of the tip along the track, m.
+    front : float
+        Where the track ends: as far as the tip has cut, m.
+    rate : float
+        Advance of the tip along the track per advance of the base in the last step.
+    heading : int
+        Sign of the last advance of the base.
+    active : int
+        Number of track points that carry forces.
+    lateral : ndarray, shape (d - 1, active)
+        q_k, N, on the tissue, along the base's lateral axes.
+    friction : ndarray, shape (active,)
+        f_k, N, on the tissue, along the base's axis.
+    tip : float
+        c, N, on the tissue, along the base's axis.
+    arclength : ndarray, shape (active,)
+        s_k, m from the clamp.
+    share : ndarray, shape (active,)
+        How the tip force is spread over the track points; adds up to 1.
+    strain : ndarray, shape (active,)
+        Elastic presliding, m.
+    slip : ndarray, shape (active,)
+        Slip since the point last stuck, m.
+    moved : ndarray, shape (d, n)
+        Displacement of every track point, m.
+    forces : ndarray, shape (d, n)
+        Force on the tissue at every track point, tip included, mesh coordinates, N.
+    status : ndarray of int8
+        Bounds that hold, for the next step's warm start.
+    solves : int
+        Contact systems solved in the step.
+    residual : float
+        Largest violation of equilibrium in the step, relative to the largest gap.
+    """
+
+    track: Track | None = None
+    touching: bool = False
+    inserted: bool = False
+    depth: float = 0.0
+    front: float = 0.0
+    rate: float = 0.0
+    heading: int = 0
+    active: int = 0
+    lateral: Vector = field(default_factory=lambda: np.empty((1, 0)))
+    friction: Vector = field(default_factory=_none)
+    tip: float = 0.0
+    arclength: Vector = field(default_factory=_none)
+    share: Vector = field(default_factory=_none)
+    strain: Vector = field(default_factory=_none)
+    slip: Vector = field(default_factory=_none)
+    moved: Vector = field(default_factory=lambda: np.empty((2, 0)))
+    forces: Vector = field(default_factory=lambda: np.empty((2, 0)))
+    status: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, dtype=np.int8))
+    solves: int = 0
+    residual: float = 0.0

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The needle's track (Fig. 8): a polyline of material points of the tissue.
+
+The advancing tip lays a point every h_t, one ahead of itself. The needle slides along the
+track without remeshing, and the track stays as a channel when the needle is drawn out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.coupling import Coupling
+from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.response import ResponseTable
+
+
+@dataclass(frozen=True)
+class Track:
+    """Track points, their limits and their responses; immutable.
+
+    Attributes
+    ----------
+    spacing : float
+        h_t, m.
+    points : ndarray, shape (n, d)
+        Reference positions, m.
+    static, kinetic : ndarray, shape (n,)
+        Friction limits at the points, N/m.
+    table : ResponseTable
+        One row per point.
+    """
+
+    spacing: float
+    points: Vector
+    static: Vector
+    kinetic: Vector
+    table: ResponseTable
+
+    @property
+    def count(self) -> int:
+        """Number of points n."""
+        return len(self.points)
+
+    def _with(self, point: Vector, footprint: Footprint, laws: Laws) -> Track:
+        limits = laws.at(point)
+        return Track(
+            self.spacing,
+            np.vstack([self.points, point]),
+            np.append(self.static, limits.static),
+            np.append(self.kinetic, limits.kinetic),
+            self.table.appended(footprint),
+        )
+
+    def with_limits(self, laws: Laws) -> Track:
+        """Return the track with the friction limits of changed laws."""
+        limits = [laws.at(point) for point in self.points]
+        return replace(
+            self,
+            static=np.array([limit.static for limit in limits]),
+            kinetic=np.array([limit.kinetic for limit in limits]),
+        )
+
+    def at(self, depth: float) -> Vector:
+        """Return the point at a depth along the track, shape (d,)."""
+        return self._between(depth)[0]
+
+    def direction(self, depth: float) -> Vector:
+        """Return the unit direction of the segment at a depth, shape (d,)."""
+        return self._between(depth)[1]
+
+    def _between(self, depth: float) -> tuple[Vector, Vector]:
+        segment = int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
+        along = (self.points[segment + 1] - self.points[segment]) / self.spacing
+        return self.points[segment] + (depth - segment * self.spacing) * along, along
+
+
+class TrackLayer:
+    """Lays track points.
+
+    Parameters
+    ----------
+    coupling : Coupling
+    laws : Laws
+        May be replaced while running.
+    empty : ResponseTable
+        Without rows.
+    spacing : float
+        h_t, m.
+    """
+
+    def __init__(
+        self, coupling: Coupling, laws: Laws, empty: ResponseTable, spacing: float
+    ) -> None:
+        self.coupling, self.laws = coupling, laws
+        none = np.empty(0)
+        points = np.empty((0, empty.compliance.dimension))
+        self._empty = Track(spacing, points, none, none, empty)
+
+    def touch(self, entry: Vector, direction: Vector) -> Track:
+        """Start with the cross-section at the entry alone: contact before puncture."""
+        return self._empty._with(entry, self.coupling.section(entry, direction), self.laws)
+
+    def start(self, entry: Vector, direction: Vector) -> Track:
+        """Start with the entry, half a hat along a unit direction, and the first point."""
+        after = entry + self._empty.spacing * direction
+        hat = self.coupling.hat(None, entry, after)
+        return self.extend(self._empty._with(entry, hat, self.laws), direction)
+
+    def extend(self, track: Track, direction: Vector) -> Track:
+        """Lay a point h_t ahead of the last one, along a unit direction."""
+        last = track.points[-1]
+        point = last + track.spacing * direction
+        hat = self.coupling.hat(last, point, 2 * point - last)
+        return track._with(point, hat, self.laws)

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be seen after a tick; costly members are computed when first read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.process import Process
+from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.needle import beam
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.dynamics import Dynamics
+from needle_sim_ros.tissue.response import ResponseTable
+
+_POLYLINE = 41
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """State of needle and tissue after a tick. SI units.
+
+    Attributes
+    ----------
+    time : float
+        Simulated time, s.
+    process : Process
+        FREE, CONTACT, INSERTION, HOLD or RETRACTION.
+    insertion_depth : float
+        Length of the needle in the tissue along the track, m.
+    base_position : ndarray, shape (3,)
+        Tissue frame, m.
+    base_orientation : ndarray, shape (4,)
+        Quaternion x y z w, base to tissue frame.
+    """
+
+    time: float
+    process: Process
+    insertion_depth: float
+    base_position: Vector
+    base_orientation: Vector
+    _scene: Scene = field(repr=False)
+    _pose: BasePose = field(repr=False)
+    _contact: ContactState = field(repr=False)
+    _dynamics: Dynamics = field(repr=False)
+    _tissue: Any = field(repr=False)
+    _markers: Vector = field(repr=False)
+    _empty: ResponseTable = field(repr=False)
+
+    @cached_property
+    def _deflection(self) -> Vector:
+        """Lateral deflection at the inserted track points and, last, the tip, (d - 1, k + 1)."""
+        contact, needle = self._contact, self._scene.needle
+        at = np.append(contact.arclength, needle.length)
+        if len(contact.arclength) == 0:
+            return np.zeros((len(contact.lateral), 1))
+        per_force = beam.flexibility(at, contact.arclength, needle.flexural_rigidity)
+        return np.asarray(-(contact.lateral @ per_force.T))
+
+    def _world(self, vectors: Vector) -> Vector:
+        """Put vectors (..., d) of the mesh into the world (..., 3)."""
+        if vectors.shape[-1] == 3:
+            return vectors
+        world = np.zeros((*vectors.shape[:-1], 3))
+        world[..., 0] = vectors[..., 0]
+        world[..., 2] = vectors[..., 1]
+        return world
+
+    def _in_base(self, lateral: Vector, axial: Vector) -> Vector:
+        """Compose vectors (..., 3) of the base frame from lateral (d - 1, ...) and axial (...)."""
+        vectors = np.zeros((*np.shape(axial), 3))
+        for i, component in enumerate(lateral):
+            vectors[..., i] = component
+        vectors[..., 2] = axial
+        return vectors
+
+    @cached_property
+    def tip_deflection(self) -> Vector:
+        """Deflection of the tip from the undeflected needle, base frame, z = 0, (3,), m."""
+        return self._in_base(self._deflection[:, -1], np.zeros(()))
+
+    @cached_property
+    def tip_position(self) -> Vector:
+        """Position of the tip, tissue frame, (3,), m."""
+        pose, length = self._pose, self._scene.needle.length
+        place = pose.origin + length * pose.axial + self._deflection[:, -1] @ pose.lateral
+        return self._world(place)
+
+    @cached_property
+    def tip_slope(self) -> Vector:
+        """Slopes of the deflected needle at the tip along base x and y, (2,)."""
+        contact, needle = self._contact, self._scene.needle
+        slopes = np.zeros(2)
+        if len(contact.arclength):
+            at = np.array([needle.length])
+            per_force = beam.slope_flexibility(at, contact.arclength, needle.flexural_rigidity)
+            slopes[: len(contact.lateral)] = -(contact.lateral @ per_force[0])
+        return slopes
+
+    @cached_property
+    def base_force(self) -> Vector:
+        """What the tissue does to the needle, at the base, base frame, (3,), N.
+
+        Pushing in gives z < 0.
+        """
+        contact = self._contact
+        return self._in_base(
+            -contact.lateral.sum(axis=1), np.array(-(contact.friction.sum() + contact.tip))
+        )
+
+    @cached_property
+    def base_torque(self) -> Vector:
+        """Torque of the tissue on the needle about the base, base frame, (3,), N m."""
+        contact = self._contact
+        if contact.active == 0:
+            return np.zeros(3)
+        deflection = self._deflection[:, :-1]
+        arms = self._in_base(deflection, contact.arclength)
+        forces = self._in_base(-contact.lateral, -contact.friction)
+        tip_arm = self._in_base(self._deflection[:, -1], np.array(self._scene.needle.length))
+        tip_force = np.array([0.0, 0.0, -contact.tip])
+        return np.asarray(np.cross(arms, forces).sum(axis=0) + np.cross(tip_arm, tip_force))
+
+    @property
+    def friction_force(self) -> float:
+        """Sum of the axial friction on the tissue, positive when pushing in, N."""
+        return float(self._contact.friction.sum())
+
+    @property
+    def tip_force(self) -> float:
+        """Axial force of the tip on the tissue, N."""
+        return float(self._contact.tip)
+
+    @cached_property
+    def contact_points(self) -> Vector:
+        """Reference positions of the inserted track points and, last, the tip, (k, 3), m."""
+        contact = self._contact
+        if contact.track is None or contact.active == 0:
+            return np.zeros((0, 3))
+        if contact.touching:
+            return self._world(contact.track.points[:1])
+        points = contact.track.points[: contact.active]
+        return self._world(np.vstack([points, contact.track.at(contact.depth)]))
+
+    @cached_property
+    def contact_forces(self) -> Vector:
+        """Forces on the tissue at the contact points, tissue frame, (k, 3), N."""
+        contact, pose = self._contact, self._pose
+        if contact.active == 0:
+            return np.zeros((0, 3))
+        if contact.touching:
+            return self._world(contact.forces[:, :1].T)
+        along_track = contact.lateral.T @ pose.lateral + np.outer(contact.friction, pose.axial)
+        return self._world(np.vstack([along_track, contact.tip * pose.axial]))
+
+    @cached_property
+    def marker_displacements(self) -> Vector:
+        """Displacements of the markers, tissue frame, (n, 3), m."""
+        contact = self._contact
+        if len(self._markers) == 0:
+            return np.zeros((0, 3))
+        if contact.track is None:
+            table = self._empty
+            forces = np.zeros((len(self._pose.axial), 0))
+        else:
+            table, forces = contact.track.table, contact.forces
+        moved = self._dynamics.at_readers(self._tissue, table, forces)
+        return self._world(moved.reshape(len(self._markers), -1))
+
+    @cached_property
+    def marker_positions(self) -> Vector:
+        """Positions of the markers now, tissue frame, (n, 3), m."""
+        return np.asarray(self._markers + self.marker_displacements)
+
+    @cached_property
+    def needle_points(self) -> Vector:
+        """The deflected needle from base to tip, tissue frame, (m, 3), m."""
+        contact, needle, pose = self._contact, self._scene.needle, self._pose
+        at = np.linspace(0.0, needle.length, _POLYLINE)
+        axis = pose.origin + at[:, None] * pose.axial
+        if len(contact.arclength):
+            bend = beam.flexibility(at, contact.arclength, needle.flexural_rigidity)
+            axis = axis - (bend @ contact.lateral.T) @ pose.lateral
+        return self._world(axis)

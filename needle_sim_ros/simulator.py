@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One tick of the coupled model; the only stateful class."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needle_sim_ros.command import BaseCommand
+from needle_sim_ros.errors import CommandError, SolverError
+from needle_sim_ros.geometry import (
+    Vector,
+    conjugate,
+    from_rotation_vector,
+    multiply,
+    to_rotation_vector,
+)
+from needle_sim_ros.interaction.contact import Contact, Step
+from needle_sim_ros.interaction.coupling import Coupling
+from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.process import Process, classify
+from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.track import TrackLayer
+from needle_sim_ros.observation import Observation
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.statistics import Statistics
+from needle_sim_ros.tissue.build import build_tissue, plane_points
+from needle_sim_ros.tissue.response import ResponseTable
+
+_STEEPEST = math.cos(math.radians(80))
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything a simulation remembers; made and taken by :class:`Simulator`."""
+
+    time: float
+    ticks: int
+    position: Vector
+    orientation: Vector
+    pose: BasePose
+    process: Process
+    contact: ContactState
+    tissue: Any
+
+
+class Simulator:
+    """The coupled needle and tissue of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : callable, optional
+        Called with (done, total) while the tissue is prepared.
+
+    Examples
+    --------
+    >>> sim = Simulator(Scene.load("gao2016"))
+    >>> obs = sim.step(BaseCommand(velocity=[0, 0, -3e-3]), dt=0.01)
+    """
+
+    def __init__(
+        self, scene: Scene, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        self.scene = scene
+        self.statistics = Statistics()
+        built = build_tissue(scene, progress)
+        self._model, self._factor, self._dynamics = built.model, built.factor, built.dynamics
+        empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
+        self._empty = empty
+        coupling = Coupling(self._model, scene.needle.radius)
+        laws = Laws(scene)
+        layer = TrackLayer(coupling, laws, empty, scene.solver.track_spacing)
+        self._contact_laws = Contact(scene, layer, laws)
+        self._markers = np.array(scene.markers, dtype=float).reshape(-1, 3)
+        self._own_step = scene.solver.time_step if scene.solver.dynamics == "newmark" else None
+        self._start = self._initial()
+        self._state = self._start
+        self._observation: Observation | None = None
+
+    def _initial(self) -> Snapshot:
+        scene = self.scene
+        quaternion = np.array(scene.base.orientation, dtype=float)
+        quaternion /= np.linalg.norm(quaternion)
+        position = np.array(scene.base.position, dtype=float)
+        return Snapshot(
+            0.0,
+            0,
+            position,
+            quaternion,
+            BasePose.of(position, quaternion, scene.dimension),
+            Process.FREE,
+            self._contact_laws.at_rest(),
+            self._dynamics.initial(),
+        )
+
+    # ------------------------------------------------------------------------- ticking
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self._state.time
+
+    @property
+    def ticks(self) -> int:
+        """Ticks since the start or the last reset."""
+        return self._state.ticks
+
+    def step(self, command: BaseCommand, dt: float) -> Observation:
+        """Move the base for a tick and find out what needle and tissue do.
+
+        Parameters
+        ----------
+        command : BaseCommand
+        dt : float
+            Duration of the tick, s, > 0; with Newmark a whole multiple of
+            ``solver.time_step``.
+
+        Raises
+        ------
+        CommandError
+            When the command cannot be carried out; the state is unchanged.
+        """
+        began = time.perf_counter()
+        state = self._state
+        dt = self._checked(dt)
+        position, quaternion, turning = self._target(state, command, dt)
+        parts = self._parts(state, position, turning, dt)
+        contact, tissue, pose = state.contact, state.tissue, state.pose
+        orientation = state.orientation
+        advance = 0.0
+        for part in range(1, parts + 1):
+            if part == parts:
+                place, orientation = position, quaternion
+            else:
+                share = part / parts
+                place = state.position + share * (position - state.position)
+                orientation = multiply(from_rotation_vector(share * turning), state.orientation)
+            if turning.any():
+                after = BasePose.of(place, orientation, self.scene.dimension)
+            else:
+                after = replace(pose, origin=plane_points(place, self.scene.dimension)[0])
+            contact, tissue, moved = self._substep(contact, tissue, pose, after, dt / parts)
+            advance += moved
+            pose = after
+        process = classify(contact.touching, contact.inserted, advance)
+        self._state = Snapshot(
+            state.time + dt, state.ticks + 1, position, quaternion, pose, process, contact, tissue
+        )
+        self._observation = None
+        self.statistics.tick(time.perf_counter() - began, contact.solves, contact.residual)
+        return self.observe()
+
+    def _substep(
+        self, contact: ContactState, tissue: Any, before: BasePose, after: BasePose, dt: float
+    ) -> tuple[ContactState, Any, float]:
+        dynamics = self._dynamics
+        prediction = dynamics.predict(tissue)
+        step = Step(
+            before,
+            after,
+            dt,
+            prediction.rows,
+            lambda table, forces, footprint: footprint.weights
+            @ dynamics.at_nodes(tissue, table, forces, footprint.nodes),
+        )
+        contact = self._contact_laws.step(contact, step)
+        table = self._empty if contact.track is None else contact.track.table
+        tissue = dynamics.complete(tissue, prediction, table, contact.forces)
+        if not np.isfinite(contact.forces).all() or not math.isfinite(contact.depth):
+            raise SolverError("the tick gave numbers that are not finite")
+        return contact, tissue, step.advance
+
+    def _checked(self, dt: float) -> float:
+        dt = float(dt)
+        if not (math.isfinite(dt) and dt > 0):
+            raise CommandError(f"dt = {dt!r}: must be finite and > 0, in s")
+        if self._own_step is not None:
+            count = round(dt / self._own_step)
+            if count < 1 or abs(count * self._own_step - dt) > 1e-9 * dt:
+                raise CommandError(
+                    f"dt = {dt:g}: must be a whole multiple of solver.time_step, "
+                    f"{self._own_step:g} s, with Newmark"
+                )
+        return dt
+
+    def _target(
+        self, state: Snapshot, command: BaseCommand, dt: float
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return position, orientation and rotation vector of the base after a tick."""
+        position, quaternion, turning = state.position, state.orientation, np.zeros(3)
+        if command.position is not None:
+            position = command.position
+        elif command.velocity is not None:
+            position = position + dt * command.velocity
+        if command.orientation is not None:
+            quaternion = command.orientation
+            turning = to_rotation_vector(multiply(quaternion, conjugate(state.orientation)))
+        elif command.angular_velocity is not None and command.angular_velocity.any():
+            turning = dt * command.angular_velocity
+            quaternion = multiply(from_rotation_vector(turning), quaternion)
+            quaternion = quaternion / np.linalg.norm(quaternion)
+        if not np.isfinite(position).all():
+            raise CommandError("the command takes the base to a place that is not finite")
+        if not turning.any():
+            quaternion = state.orientation
+        self._admissible(state, position, quaternion)
+        return position, quaternion, turning
+
+    def _admissible(self, state: Snapshot, position: Vector, quaternion: Vector) -> None:
+        scene = self.scene
+        if scene.dimension == 2:
+            x, y, z, w = quaternion
+            # base y must stay normal to the plane
+            sideways = abs(2 * (x * y + z * w)), abs(2 * (y * z - x * w))
+            if abs(position[1]) > 1e-9 or max(sideways) > 1e-6:
+                raise CommandError("a 2D scene moves in the plane y = 0 and turns about y only")
+        down = -(1 - 2 * (quaternion[0] ** 2 + quaternion[1] ** 2))
+        touching = state.contact.touching or state.contact.inserted
+        if touching and down < _STEEPEST:
+            raise CommandError("the needle would turn out of the tissue, over 80 deg from -z")
+        if touching and position[2] <= 0:
+            raise CommandError(f"the base would enter the tissue, at z = {position[2]:g} m")
+        if touching and state.contact.track is not None:
+            pose = BasePose.of(position, quaternion, scene.dimension)
+            aside = np.abs(pose.aside(state.contact.track.points[0])).max()
+            if aside > scene.needle.length / 2:
+                raise CommandError(
+                    f"the base would be {aside:g} m beside the entry, more than half the needle"
+                )
+
+    def _parts(self, state: Snapshot, position: Vector, turning: Vector, dt: float) -> int:
+        if self._own_step is not None:
+            return round(dt / self._own_step)
+        if not (state.contact.inserted or state.contact.touching) and position[2] > (
+            state.position[2]
+        ):
+            return 1
+        advance = float(np.linalg.norm(position - state.position))
+        angle = float(np.linalg.norm(turning))
+        spacing = self.scene.solver.track_spacing
+        return max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / 0.05))
+
+    # --------------------------------------------------------------------- observing
+    def observe(self) -> Observation:
+        """Return what can be seen now."""
+        if self._observation is None:
+            s = self._state
+            self._observation = Observation(
+                s.time,
+                s.process,
+                s.contact.depth if s.contact.inserted else 0.0,
+                s.position,
+                s.orientation,
+                self.scene,
+                s.pose,
+                s.contact,
+                self._dynamics,
+                s.tissue,
+                self._markers,
+                self._empty,
+            )
+        return self._observation
+
+    def tissue_displacement(self, points: ArrayLike) -> Vector:
+        """Return the displacement of reference points of the tissue.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            Tissue frame, m; a 2D scene ignores y.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            m; nan outside the tissue.
+        """
+        where = plane_points(np.asarray(points, dtype=float), self.scene.dimension)
+        nodes, values, inside = self._model.shape_functions(where)
+        table, forces = self._loaded()
+        field = self._dynamics.everywhere(self._state.tissue, table, forces)
+        moved = np.einsum("kb,kbd->kd", values, field[nodes])
+        moved[~inside] = np.nan
+        if self.scene.dimension == 3:
+            return np.asarray(moved)
+        return np.column_stack([moved[:, 0], np.where(inside, 0.0, np.nan), moved[:, 1]])
+
+    def _loaded(self) -> tuple[ResponseTable, Vector]:
+        contact = self._state.contact
+        if contact.track is None:
+            return self._empty, np.zeros((self.scene.dimension, 0))
+        return contact.track.table, contact.forces
+
+    # ------------------------------------------------------------- branching, repeating
+    def snapshot(self) -> Snapshot:
+        """Return the state, exactly; costs nothing."""
+        return self._state
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a state of this simulator, exactly."""
+        if not isinstance(snapshot, Snapshot):
+            raise CommandError(f"not a snapshot: {type(snapshot).__name__}")
+        self._state = snapshot
+        self._observation = None
+
+    def reset(self) -> Observation:
+        """Go back to the start."""
+        self._state = self._start
+        self._observation = None
+        return self.observe()
+
+    def rollout(
+        self,
+        commands: Iterable[BaseCommand],
+        dt: float,
+        quantities: Sequence[str] = ("time", "insertion_depth", "tip_position", "base_force"),
+    ) -> dict[str, Vector]:
+        """Step through commands and return trajectories of the wanted quantities only.
+
+        Parameters
+        ----------
+        commands : iterable of BaseCommand
+            One per tick.
+        dt : float
+            s.
+        quantities : sequence of str
+            Members of :class:`Observation`.
+
+        Returns
+        -------
+        dict of ndarray
+            One array per quantity, the tick first.
+        """
+        unknown = [q for q in quantities if q.startswith("_") or not hasattr(Observation, q)
+                   and q not in Observation.__dataclass_fields__]
+        if unknown:
+            raise CommandError(f"quantities = {unknown}: not members of Observation")
+        series: dict[str, list[Any]] = {name: [] for name in quantities}
+        for command in commands:
+            observation = self.step(command, dt)
+            for name, values in series.items():
+                values.append(getattr(observation, name))
+        return {name: np.array(values) for name, values in series.items()}
+
+    def change_interaction(self, changes: Mapping[str, object]) -> None:
+        """Change laws between ticks, e.g. ``{"friction.kinetic": 12.0}``.
+
+        Raises
+        ------
+        SceneError
+            On unknown keys or inadmissible values; nothing is changed then.
+        """
+        scene = self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
+        contact = self._contact_laws.change_laws(Laws(scene), self._state.contact)
+        self.scene = scene
+        self._state = replace(self._state, contact=contact)
+        self._observation = None

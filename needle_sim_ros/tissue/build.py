@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a scene to a tissue that answers: assemble, factorise once, prepare the path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.compliance import NodalCompliance
+from needle_sim_ros.tissue.dynamics import Dynamics, QuasiStatic
+from needle_sim_ros.tissue.factor import Factor
+from needle_sim_ros.tissue.mesh import planned_path, spacings
+from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.newmark import FullNewmark, NewmarkRule, effective_matrix
+from needle_sim_ros.tissue.reduced import ReducedNewmark
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class BuiltTissue:
+    """The tissue of a scene, ready for ticks."""
+
+    model: TissueModel
+    factor: Factor
+    dynamics: Dynamics
+
+
+def plane_points(points: Vector, dimension: int) -> Vector:
+    """Put world points (n, 3) into the coordinates of the mesh (n, d)."""
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    return points if dimension == 3 else points[:, [0, 2]]
+
+
+def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
+    """Assemble and factorise the tissue of a scene and prepare its planned path.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : callable, optional
+        Called with (done, total) while the path is prepared.
+    """
+    model = TissueModel(scene)
+    rule = NewmarkRule.of(scene)
+    full = scene.solver.dynamics == "newmark" and scene.solver.modes == 0
+    factor = Factor(effective_matrix(model, rule) if full else model.stiffness)
+    markers = plane_points(np.array(scene.markers).reshape(-1, 3), scene.dimension)
+    empty = sp.csr_array((0, len(model.free)))
+    readers = model.sampling(markers) if len(markers) else empty
+    path = planned_path(scene)
+    _, along, _ = spacings(scene)
+    tile = (2.2 * scene.needle.radius,) * (scene.dimension - 1) + (4 * along,)
+    center = plane_points(path.entry, scene.dimension)[0]
+    compliance = NodalCompliance(model, factor, readers, tile, center)
+    dynamics: Dynamics
+    if full:
+        dynamics = FullNewmark(model, factor, compliance, rule)
+    elif scene.solver.dynamics == "newmark":
+        dynamics = ReducedNewmark(model, factor, compliance, rule, scene.solver.modes)
+    else:
+        dynamics = QuasiStatic(model, factor, compliance)
+    _prepare(scene, model, compliance, progress)
+    return BuiltTissue(model, factor, dynamics)
+
+
+def _prepare(
+    scene: Scene, model: TissueModel, compliance: NodalCompliance, progress: Progress | None
+) -> None:
+    """Compute the responses along the planned path, so that ticks on it wait for no solve."""
+    path = planned_path(scene)
+    if path.depth <= 0:
+        return
+    spacing = scene.solver.track_spacing
+    depths = np.arange(0.0, path.depth + 2 * spacing, spacing / 2)
+    direction = plane_points(path.direction, scene.dimension)[0]
+    center = plane_points(path.entry, scene.dimension)[0] + depths[:, None] * direction
+    across = np.linspace(-1.0, 1.0, 9) * scene.needle.radius * (1 - 1e-9)
+    normal = np.array([-direction[1], direction[0]])
+    places = (center[:, None, :] + across[None, :, None] * normal).reshape(-1, len(direction))
+    nodes, values, inside = model.shape_functions(places)
+    touched = np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])
+    compliance.ensure(touched, progress)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the tissue answers a step: the interface, and the quasi-static answer.
+
+A step first predicts what the tissue would do without contact forces; the contact
+problem then finds the forces; the step is completed with them. Whatever a dynamics
+remembers is a state that is replaced, never changed in place.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.tissue.compliance import NodalCompliance
+from needle_sim_ros.tissue.factor import Factor
+from needle_sim_ros.tissue.mesh import Index
+from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.response import ModalPart, ResponseTable
+
+
+class Prediction(Protocol):
+    """The end of a step as it would be without contact forces in it."""
+
+    def rows(self, table: ResponseTable) -> Vector:
+        """Return the displacement of the rows of a table, shape (d, n), m."""
+        ...
+
+
+class Dynamics(Protocol):
+    """What the contact and the observation need of the tissue."""
+
+    compliance: NodalCompliance
+    modes: ModalPart | None
+
+    def initial(self) -> Any:
+        """Return the state at rest."""
+        ...
+
+    def predict(self, state: Any) -> Prediction:
+        """Start a step."""
+        ...
+
+    def complete(
+        self, state: Any, prediction: Any, table: ResponseTable, forces: Vector
+    ) -> Any:
+        """End a step with forces (d, n) on the rows of a table; return the new state."""
+        ...
+
+    def at_nodes(self, state: Any, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
+        """Return the displacement of nodes (k,), shape (k, d)."""
+        ...
+
+    def at_readers(self, state: Any, table: ResponseTable, forces: Vector) -> Vector:
+        """Return the displacement of the readers, shape (r,)."""
+        ...
+
+    def everywhere(self, state: Any, table: ResponseTable, forces: Vector) -> Vector:
+        """Return the displacement of all nodes, shape (nodes, d); costs a solve."""
+        ...
+
+
+def expand(model: TissueModel, values: Vector) -> Vector:
+    """Put values of the free unknowns on all nodes, shape (nodes, d)."""
+    full = np.zeros(model.nodes * model.dimension)
+    full[model.free] = values
+    return full.reshape(-1, model.dimension)
+
+
+class _AtRest:
+    def rows(self, table: ResponseTable) -> Vector:
+        return np.zeros((table.compliance.dimension, table.count))
+
+
+class QuasiStatic:
+    """No inertia, no damping: the tissue is in equilibrium with the forces of the moment."""
+
+    modes = None
+
+    def __init__(self, model: TissueModel, factor: Factor, compliance: NodalCompliance) -> None:
+        self._model, self._factor, self.compliance = model, factor, compliance
+
+    def initial(self) -> None:
+        """Nothing is remembered."""
+        return
+
+    def predict(self, state: None) -> _AtRest:
+        """Without forces the tissue is at rest."""
+        return _AtRest()
+
+    def complete(
+        self, state: None, prediction: _AtRest, table: ResponseTable, forces: Vector
+    ) -> None:
+        """Nothing is remembered."""
+        return
+
+    def at_nodes(self, state: None, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
+        """Displacement of nodes from the kept responses."""
+        return self.compliance.displacement(table.spread(forces), nodes)
+
+    def at_readers(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
+        """Displacement of the readers from the kept responses."""
+        return np.einsum("ran,an->r", table.at_readers(), forces)
+
+    def everywhere(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
+        """One solve of Eq. (5)."""
+        loads = table.spread(forces).ravel()[self._model.free]
+        return expand(self._model, self._factor.solve(loads))

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One small interface for direct solvers of sparse symmetric positive definite systems."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from needle_sim_ros.errors import SolverError
+from needle_sim_ros.geometry import Vector
+
+
+class Factor:
+    """A factorised matrix.
+
+    Parameters
+    ----------
+    matrix : csr_array, shape (n, n)
+        Symmetric positive definite.
+    """
+
+    def __init__(self, matrix: sp.csr_array) -> None:
+        self.size = int(matrix.shape[0])
+        self.solves = 0
+        try:
+            self._lu = splu(
+                sp.csc_matrix(matrix),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except (RuntimeError, MemoryError) as error:
+            raise SolverError(f"the tissue's matrix cannot be factorised: {error}") from None
+
+    def solve(self, right: Vector) -> Vector:
+        """Solve for one (n,) or many (n, k) right-hand sides."""
+        self.solves += 1 if right.ndim == 1 else right.shape[1]
+        return np.asarray(self._lu.solve(right))

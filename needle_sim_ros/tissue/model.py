@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tissue of a scene, assembled: K and M on the free unknowns (Eq. 5), sampling of points."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from needle_sim_ros.errors import SceneError
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.elements import assemble, scalar_basis
+from needle_sim_ros.tissue.material import MaterialField
+from needle_sim_ros.tissue.mesh import Index, build_mesh
+
+
+class TissueModel:
+    """Mesh, stiffness and mass of a scene's tissue.
+
+    Attributes
+    ----------
+    dimension : int
+        d, 2 or 3.
+    nodes : int
+        Number of nodes n; component c of node i is the unknown d i + c.
+    free : ndarray of int
+        Unknowns that are not fixed (u_B = 0, Eq. 23).
+    stiffness, mass : csr_array, shape (len(free), len(free))
+        K in N/m and M in kg, the thickness included.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.grid = build_mesh(scene)
+        self.dimension = scene.dimension
+        self.basis = scalar_basis(self.grid.mesh, scene.tissue.mesh.element)
+        self.nodes = int(self.basis.N)
+        depth = scene.tissue.thickness if scene.dimension == 2 else 1.0
+        stiffness, mass = assemble(self.basis, scene.tissue.mesh.element, MaterialField(scene))
+        fixed = self._fixed_nodes()
+        held = np.zeros(self.nodes * self.dimension, dtype=bool)
+        for component in range(self.dimension):
+            held[self.dimension * fixed + component] = True
+        self.free: Index = np.flatnonzero(~held)
+        self.position_of = np.full(len(held), -1, dtype=np.intp)
+        self.position_of[self.free] = np.arange(len(self.free))
+        self.stiffness = sp.csr_array(stiffness[self.free][:, self.free] * depth)
+        self._scalar_mass = mass * depth
+
+    @cached_property
+    def mass(self) -> sp.csr_array:
+        """Consistent mass matrix on the free unknowns, kg."""
+        full = sp.csr_array(sp.kron(self._scalar_mass, sp.eye_array(self.dimension)))
+        return sp.csr_array(full[self.free][:, self.free])
+
+    @property
+    def coordinates(self) -> Vector:
+        """Positions of the nodes, shape (d, n), m."""
+        return np.asarray(self.basis.doflocs)
+
+    def _fixed_nodes(self) -> Index:
+        size, where = self.scene.tissue.size, self.basis.doflocs
+        slack = 1e-9 * max(size)
+        planes = {
+            "left": (0, -size[0] / 2),
+            "right": (0, size[0] / 2),
+            "bottom": (self.dimension - 1, -size[-1]),
+        }
+        if self.dimension == 3:
+            planes |= {"front": (1, -size[1] / 2), "back": (1, size[1] / 2)}
+        mask = np.zeros(self.nodes, dtype=bool)
+        for face in self.scene.tissue.fixed or ():
+            axis, value = planes[face]
+            mask |= np.abs(where[axis] - value) < slack
+        if not mask.any():
+            raise SceneError("tissue.fixed", list(self.scene.tissue.fixed or ()), "holds no node")
+        return np.flatnonzero(mask)
+
+    def shape_functions(self, points: Vector) -> tuple[Index, Vector, NDArray[np.bool_]]:
+        """Evaluate the shape functions at points, shape (k, d).
+
+        Returns
+        -------
+        nodes : ndarray of int, shape (k, b)
+            Nodes of each point's cell.
+        values : ndarray, shape (k, b)
+            Their shape functions there.
+        inside : ndarray of bool, shape (k,)
+        """
+        cells, local, within = self.grid.locate(points)
+        if self.grid.quadrilateral:
+            values = self._tensor_product(local)
+        else:
+            element = self.basis.elem
+            shapes = [element.lbasis(local, i)[0] for i in range(len(self.basis.basis))]
+            values = np.array([np.broadcast_to(v, len(points)) for v in shapes])
+        return self.basis.element_dofs[:, cells].T.astype(np.intp), values.T, within
+
+    def _tensor_product(self, local: Vector) -> Vector:
+        # Lagrange polynomials of each direction, multiplied as the element numbers its nodes
+        quadratic = self.scene.tissue.mesh.element == "quad2"
+        values = np.ones((len(self._local_nodes[0]), local.shape[1]))
+        for x, order in zip(local, self._local_nodes, strict=True):
+            if quadratic:
+                lines = np.array([(1 - x) * (1 - 2 * x), 4 * x * (1 - x), x * (2 * x - 1)])
+            else:
+                lines = np.array([1 - x, x])
+            values *= lines[order]
+        return values
+
+    @cached_property
+    def _local_nodes(self) -> tuple[Index, ...]:
+        steps = 2 if self.scene.tissue.mesh.element == "quad2" else 1
+        where = np.asarray(self.basis.elem.doflocs, dtype=float)
+        return tuple(np.rint(steps * where[:, axis]).astype(np.intp) for axis in range(where.shape[1]))
+
+    def sampling(self, points: Vector) -> sp.csr_array:
+        """Return the matrix, shape (k d, free), that samples displacements at points (k, d)."""
+        nodes, values, _ = self.shape_functions(points)
+        d, count = self.dimension, len(points)
+        rows = np.repeat(np.arange(count), nodes.shape[1])
+        wide = (d * rows[:, None] + np.arange(d)).ravel()
+        columns = (d * nodes.ravel()[:, None] + np.arange(d)).ravel()
+        weights = np.repeat(values.ravel(), d)
+        matrix = sp.coo_array((weights, (wide, columns)), shape=(d * count, d * self.nodes))
+        return sp.csr_array(sp.csr_array(matrix)[:, self.free])
