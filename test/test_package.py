@@ -19,9 +19,9 @@ SOURCE = ROOT / "needle_sim_ros"
 
 # A part may import what stands in an earlier row, and its neighbours if no circle results.
 LAYERS = (
-    {"errors", "resources"},
-    {"command"},
-    {"scene"},
+    {"errors"},
+    {"command", "geometry", "resources", "schema"},
+    {"scene", "scene_checks"},
     {"tissue", "needle"},
     {"interaction"},
     {"observation", "simulator"},
@@ -37,10 +37,20 @@ def top_level_parts() -> list[str]:
 
 
 def imported_parts(file: Path) -> set[str]:
-    """Return the parts of the package that the source in `file` imports, wherever it does."""
+    """Return the parts of the package that the source in `file` imports when it runs."""
     inside = file.relative_to(ROOT).with_suffix("").parts[:-1]
+    tree = ast.parse(file.read_text(encoding="utf-8"), str(file))
+    for_types_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
     modules = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
+    for node in ast.walk(tree):
+        if id(node) in for_types_only:
+            continue
         if isinstance(node, ast.Import):
             modules.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
