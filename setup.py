@@ -36,16 +36,19 @@ setup(
         "PyYAML>=6.0",
         "tqdm>=4.66",
         "matplotlib>=3.6",
-        "mcap==1.6.0",
-        "mcap-ros2-support==0.6.0",
+        # Ranges, not pins: rosdep brings the newest into a workspace that others share.
+        "mcap>=1.6,<2",
+        "mcap-ros2-support>=0.6,<1",
     ],
     extras_require={
-        # ROS 2 Jazzy as wheels (x86_64 Linux). Unpinned, these resolve to a newer distribution.
-        # Leave this extra out where ROS 2 comes from apt.
+        # ROS 2 Jazzy as wheels (x86_64 Linux), the environment this package is tested in.
+        # Unpinned, these resolve to a newer distribution. Leave it out where ROS 2 is from apt.
         "ros": [
             "ros-jazzy-rclpy==7.1.6",
             "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
             "ros-jazzy-common-interfaces==5.3.6",
+            "mcap==1.6.0",
+            "mcap-ros2-support==0.6.0",
         ],
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "rosbags==0.11.9"],
         "lint": [
