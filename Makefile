@@ -23,7 +23,7 @@ $(STAMP): setup.py
 	@$(PYTHON) .ci/check_python.py
 	@echo "Installing into $(VENV) (about 300 MB, one to three minutes) ..."
 	@$(PYTHON) -m venv --clear "$(VENV)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check \
 	    --editable ".[ros,test,lint]"
 	@touch $@
 
