@@ -9,22 +9,44 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from needle_sim_ros.errors import SceneError
+from needle_sim_ros.errors import SceneError, SessionError
 
-_PACKAGE = "needle_sim_ros"
+_PACKAGE = Path(__file__).resolve().parent
 
 
 def roots() -> Iterator[Path]:
-    """Yield the folders that may hold `config` and `bags`, the nearest first.
+    """Yield the folders that hold `config` and `bags`, the nearest first.
 
-    A source checkout, the environment's share folder (pip), and the share folders of
-    the sourced ROS workspaces (colcon).
+    A source checkout; ``share/needle_sim_ros`` of the prefix the package lies in, whether
+    pip or colcon put it there; the share folders of the sourced ROS workspaces. Found from
+    the package's own place, so that neither an ament index nor a sourced workspace is needed.
     """
-    yield Path(__file__).resolve().parent.parent
-    yield Path(sys.prefix) / "share" / _PACKAGE
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix) / "share" / _PACKAGE
+    name = _PACKAGE.name
+    workspaces = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    candidates = [
+        _PACKAGE.parent,
+        # <prefix>/lib/python3.x/site-packages, Debian's dist-packages, `pip install --target`
+        *(prefix / "share" / name for prefix in _PACKAGE.parents),
+        Path(sys.prefix) / "share" / name,
+        *(Path(prefix) / "share" / name for prefix in workspaces if prefix),
+    ]
+    for folder in dict.fromkeys(candidates):
+        if (folder / "package.xml").is_file():
+            yield folder
+
+
+def bags_directory() -> Path:
+    """Return the folder of the recorded sessions that come with the package.
+
+    Raises
+    ------
+    SessionError
+        When the package was installed without them.
+    """
+    for root in roots():
+        if (root / "bags").is_dir():
+            return root / "bags"
+    raise SessionError("no bags folder came with this installation: reinstall needle_sim_ros")
 
 
 def scene_names() -> list[str]:

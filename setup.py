@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All package metadata: ament_python and Ubuntu 24.04's colcon read it from here."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "needle_sim_ros"
+
+
+def share(*folders: str) -> list[tuple[str, list[str]]]:
+    """List every file under `folders`, keeping the tree, for ``share/needle_sim_ros``."""
+    files: dict[str, list[str]] = {}
+    for folder in folders:
+        for path in sorted(Path(folder).rglob("*")):
+            if path.is_file():
+                files.setdefault(f"share/{NAME}/{path.parent.as_posix()}", []).append(
+                    path.as_posix()
+                )
+    return sorted(files.items())
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="A flexible needle entering soft tissue, simulated behind a ROS 2 node",
+    license="Apache-2.0",
+    maintainer="needle_sim_ros maintainers",
+    maintainer_email="maintainers@example.org",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    python_requires=">=3.10",
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "scikit-fem>=12.0",
+        "PyYAML>=6.0",
+        "tqdm>=4.66",
+        "matplotlib>=3.6",
+        # Ranges, not pins: rosdep brings the newest into a workspace that others share.
+        "mcap>=1.6,<2",
+        "mcap-ros2-support>=0.6,<1",
+    ],
+    extras_require={
+        # ROS 2 Jazzy as wheels (x86_64 Linux), the environment this package is tested in.
+        # Unpinned, these resolve to a newer distribution. Leave it out where ROS 2 is from apt.
+        "ros": [
+            "ros-jazzy-rclpy==7.1.6",
+            "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+            "ros-jazzy-common-interfaces==5.3.6",
+            "mcap==1.6.0",
+            "mcap-ros2-support==0.6.0",
+        ],
+        "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "rosbags==0.11.9"],
+        "lint": [
+            "ruff==0.17.6",
+            "mypy==2.4.1",
+            "types-PyYAML==6.0.12.20261113",
+            'scipy-stubs==1.17.1.5; python_version >= "3.11"',
+        ],
+        # Faster sparse Cholesky for large meshes.
+        "fast": ["pypardiso>=0.4.6"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *share("config", "bags"),
+    ],
+    entry_points={
+        "console_scripts": [
+            "needle_sim = needle_sim_ros.cli:main",
+            "sim_node = needle_sim_ros.ros.node:main",
+        ],
+    },
+    zip_safe=False,
+)
