@@ -52,15 +52,17 @@ class Observation:
     _markers: Vector = field(repr=False)
     _empty: ResponseTable = field(repr=False)
 
-    @cached_property
-    def _deflection(self) -> Vector:
-        """Lateral deflection at the inserted track points and, last, the tip, (d - 1, k + 1)."""
+    def _bent(self, at: Vector) -> Vector:
+        """Lateral deflection at arclengths (n,), shape (d - 1, n), m."""
         contact, needle = self._contact, self._scene.needle
-        at = np.append(contact.arclength, needle.length)
         if len(contact.arclength) == 0:
-            return np.zeros((len(contact.lateral), 1))
+            return np.zeros((len(contact.lateral), len(at)))
         per_force = beam.flexibility(at, contact.arclength, needle.flexural_rigidity)
         return np.asarray(-(contact.lateral @ per_force.T))
+
+    @cached_property
+    def _tip_bent(self) -> Vector:
+        return self._bent(np.array([self._scene.needle.length]))[:, 0]
 
     def _world(self, vectors: Vector) -> Vector:
         """Put vectors (..., d) of the mesh into the world (..., 3)."""
@@ -82,13 +84,13 @@ class Observation:
     @cached_property
     def tip_deflection(self) -> Vector:
         """Deflection of the tip from the undeflected needle, base frame, z = 0, (3,), m."""
-        return self._in_base(self._deflection[:, -1], np.zeros(()))
+        return self._in_base(self._tip_bent, np.zeros(()))
 
     @cached_property
     def tip_position(self) -> Vector:
         """Position of the tip, tissue frame, (3,), m."""
         pose, length = self._pose, self._scene.needle.length
-        place = pose.origin + length * pose.axial + self._deflection[:, -1] @ pose.lateral
+        place = pose.origin + length * pose.axial + self._tip_bent @ pose.lateral
         return self._world(place)
 
     @cached_property
@@ -119,12 +121,20 @@ class Observation:
         contact = self._contact
         if contact.active == 0:
             return np.zeros(3)
-        deflection = self._deflection[:, :-1]
-        arms = self._in_base(deflection, contact.arclength)
-        forces = self._in_base(-contact.lateral, -contact.friction)
-        tip_arm = self._in_base(self._deflection[:, -1], np.array(self._scene.needle.length))
-        tip_force = np.array([0.0, 0.0, -contact.tip])
-        return np.asarray(np.cross(arms, forces).sum(axis=0) + np.cross(tip_arm, tip_force))
+        arms = self._in_base(self._bent(contact.arclength), contact.arclength)
+        torque = np.cross(arms, self._in_base(-contact.lateral, np.zeros(len(arms)))).sum(axis=0)
+        at = np.append(self._friction_at, self._scene.needle.length)
+        arms = self._in_base(self._bent(at), at)
+        axial = np.append(-contact.friction, -contact.tip)
+        pull = self._in_base(np.zeros((len(contact.lateral), len(at))), axial)
+        return np.asarray(torque + np.cross(arms, pull).sum(axis=0))
+
+    @property
+    def _friction_at(self) -> Vector:
+        """Arclengths at which friction acts; what is ahead of the tip acts at the tip."""
+        contact, length = self._contact, self._scene.needle.length
+        spacing = self._scene.solver.track_spacing
+        return np.minimum(length - contact.depth + spacing * np.arange(contact.active), length)
 
     @property
     def friction_force(self) -> float:
@@ -144,7 +154,7 @@ class Observation:
             return np.zeros((0, 3))
         if contact.touching:
             return self._world(contact.track.points[:1])
-        points = contact.track.points[: contact.active]
+        points = contact.track.points[: len(contact.arclength)]
         return self._world(np.vstack([points, contact.track.at(contact.depth)]))
 
     @cached_property
@@ -155,8 +165,11 @@ class Observation:
             return np.zeros((0, 3))
         if contact.touching:
             return self._world(contact.forces[:, :1].T)
-        along_track = contact.lateral.T @ pose.lateral + np.outer(contact.friction, pose.axial)
-        return self._world(np.vstack([along_track, contact.tip * pose.axial]))
+        held = len(contact.arclength)
+        along = contact.lateral.T @ pose.lateral + np.outer(contact.friction[:held], pose.axial)
+        # friction on what the tip has only begun to pass counts at the tip
+        tip = contact.friction[held:].sum() + contact.tip
+        return self._world(np.vstack([along, tip * pose.axial]))
 
     @cached_property
     def marker_displacements(self) -> Vector:
@@ -180,10 +193,7 @@ class Observation:
     @cached_property
     def needle_points(self) -> Vector:
         """The deflected needle from base to tip, tissue frame, (m, 3), m."""
-        contact, needle, pose = self._contact, self._scene.needle, self._pose
+        needle, pose = self._scene.needle, self._pose
         at = np.linspace(0.0, needle.length, _POLYLINE)
-        axis = pose.origin + at[:, None] * pose.axial
-        if len(contact.arclength):
-            bend = beam.flexibility(at, contact.arclength, needle.flexural_rigidity)
-            axis = axis - (bend @ contact.lateral.T) @ pose.lateral
+        axis = pose.origin + at[:, None] * pose.axial + self._bent(at).T @ pose.lateral
         return self._world(axis)

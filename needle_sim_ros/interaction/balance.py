@@ -77,11 +77,6 @@ class BalanceSolution:
         return {k: v for k, v in self.__dict__.items() if k not in ("overlap", "slope")}
 
 
-def coverage_of(track: Track, depth: float) -> Vector:
-    """Return the inserted length of every point of a track, m."""
-    return coverage(depth, track.count, track.spacing)
-
-
 class Balance:
     """Sets up and solves the problem of a step.
 
@@ -97,6 +92,9 @@ class Balance:
         self._rigidity = scene.needle.flexural_rigidity
         self._tolerance = scene.solver.tolerance
         self._tip_at = np.array([self._length])
+        tissue = scene.tissue
+        # lateral stiffness of the tissue per length of needle, N/m per m
+        self._grip = tissue.youngs_modulus * (tissue.thickness if scene.dimension == 2 else 1.0)
 
     def slope(self, state: ContactState) -> Vector:
         """Return the needle's slopes at the tip in a state, shape (d - 1,)."""
@@ -173,91 +171,64 @@ class Balance:
         limit : TipLimit
         """
         pose, free = step.after, step.free(track.table)
-        inserted = coverage_of(track, depth)
-        n = max(1, int(np.count_nonzero(inserted > _LEAST * track.spacing)))
-        m = len(pose.lateral)
-        points, length = track.points[:n], inserted[:n]
-        share = self._share(inserted, track, depth, limit.spread)
-        arclength = self._length - depth + track.spacing * np.arange(n)
+        h, m = track.spacing, len(step.after.lateral)
+        last = min(int(depth / h), track.count - 2)  # the last point that the tip has passed
+        n = last + 2  # rows: the points passed and the one ahead of the tip
+        behind = depth - h * np.arange(last + 1)  # the tip is so far beyond each point
+        held = max(1, int(np.count_nonzero(behind > _LEAST * h)))
+        length = coverage(depth, n, h)
+        share = tip_share(length, depth, limit.spread, h)
+        arclength = self._length - behind[:held]
         axes = np.vstack([pose.lateral, pose.axial])
         compliance = _in_axes(track.table.between()[:, :, :n, :n], axes)
         strain, slip = _fitted(strain, n), _fitted(slip, n)
         stiffness = self.laws.interaction.friction.presliding_stiffness
-        presliding = 1.0 / (stiffness * np.maximum(length, _LEAST * track.spacing))
+        presliding = 1.0 / (stiffness * np.maximum(length, _LEAST * h))
 
-        size = m * n + n + 1
-        matrix = np.empty((size, size))
-        axial = compliance[m]
-        for a in range(m):
-            rows = slice(a * n, (a + 1) * n)
-            for b in range(m):
-                matrix[rows, b * n : (b + 1) * n] = compliance[a, b]
-            matrix[rows, m * n : -1] = compliance[a, m]
-            matrix[m * n : -1, rows] = axial[a]
-            matrix[rows, -1] = compliance[a, m] @ share
-            matrix[-1, rows] = matrix[rows, -1]
+        wide = m * held
+        matrix = np.empty((wide + n + 1, wide + n + 1))
         bend = beam.flexibility(arclength, arclength, self._rigidity)
-        ramp = self._ramp(length, track.spacing)
+        np.einsum("kk->k", bend)[1:] += self._softness(track, behind[1:held], limit.spread)
+        axial = compliance[m, m]
+        pressed = axial @ share
         for a in range(m):
-            block = matrix[a * n : (a + 1) * n, a * n : (a + 1) * n]
-            own = np.einsum("kk->k", block)
-            own += ramp * own
-            block += bend
-        pressed = axial[m] @ share
-        matrix[m * n : -1, m * n : -1] = axial[m]
-        np.einsum("kk->k", matrix[m * n : -1, m * n : -1])[...] += presliding
-        matrix[m * n : -1, -1] = matrix[-1, m * n : -1] = pressed
-        matrix[-1, -1] = share @ pressed + 1e-6 * presliding.min()
+            rows = slice(a * held, (a + 1) * held)
+            for b in range(m):
+                matrix[rows, b * held : (b + 1) * held] = compliance[a, b, :held, :held]
+            matrix[rows, rows] += bend
+            matrix[rows, wide:-1] = compliance[a, m, :held]
+            matrix[wide:-1, rows] = compliance[m, a, :, :held]
+            matrix[rows, -1] = matrix[-1, rows] = compliance[a, m, :held] @ share
+        matrix[wide:-1, wide:-1] = axial
+        np.einsum("kk->k", matrix[wide:-1, wide:-1])[...] += presliding
+        matrix[wide:-1, -1] = matrix[-1, wide:-1] = pressed
+        matrix[-1, -1] = share @ pressed + 1e-6 / (stiffness * h)
 
-        advance = step.advance
-        right = np.empty(size)
-        where = points.T + free[:, :n]
-        right[: m * n] = -(axes[:m] @ (where - pose.origin[:, None])).ravel()
-        elastic = strain + advance + pose.axial @ (moved[:, :n] - free[:, :n])
-        right[m * n : -1] = elastic
-        end = track.at(depth) + free[:, :n] @ share
-        right[-1] = self._length - pose.along(end)
+        right = np.empty(wide + n + 1)
+        where = track.points[:held].T + free[:, :held]
+        right[:wide] = -(pose.lateral @ (where - pose.origin[:, None])).ravel()
+        elastic = strain + step.advance + pose.axial @ (moved[:, :n] - free[:, :n])
+        right[wide:-1] = elastic
+        right[-1] = self._length - pose.along(track.at(depth) + free[:, :n] @ share)
 
         bound = self.laws.friction(track.static[:n], track.kinetic[:n], slip) * length
-        low = np.full(size, -np.inf)
-        high = np.full(size, np.inf)
-        low[m * n : -1], high[m * n : -1] = -bound, bound
+        low = np.full(wide + n + 1, -np.inf)
+        high = np.full(wide + n + 1, np.inf)
+        low[wide:-1], high[wide:-1] = -bound, bound
         low[-1], high[-1] = 0.0, limit.force
-        guess = np.zeros(size, dtype=np.int8)
-        guess[m * n :] = _guess(status, n)
+        guess = np.zeros(wide + n + 1, dtype=np.int8)
+        guess[wide:] = _guess(status, n)
         found = solve_contact(matrix, right, low, high, guess, self._tolerance)
-        return self._unpacked(
-            found, track, pose, free, moved, slip, elastic, presliding, arclength, share, right
-        )
 
-    def _unpacked(
-        self,
-        found: Any,
-        track: Track,
-        pose: BasePose,
-        free: Vector,
-        moved: Vector,
-        slip: Vector,
-        elastic: Vector,
-        presliding: Vector,
-        arclength: Vector,
-        share: Vector,
-        right: Vector,
-    ) -> BalanceSolution:
-        m, n = len(pose.lateral), len(arclength)
-        lateral = found.x[: m * n].reshape(m, n)
-        friction, force = found.x[m * n : -1], float(found.x[-1])
+        lateral = found.x[:wide].reshape(m, held)
+        friction, force = found.x[wide:-1], float(found.x[-1])
         forces = np.zeros((len(pose.axial), track.count))
-        forces[:, :n] = pose.lateral.T @ lateral + np.outer(pose.axial, friction + force * share)
-        between = track.table.between()[:, :, :, :n]
-        after = free.copy()
-        for a in range(len(after)):
-            for b in range(len(after)):
-                after[a] += between[a, b] @ forces[b, :n]
+        forces[:, :held] = pose.lateral.T @ lateral
+        forces[:, :n] += np.outer(pose.axial, friction + force * share)
+        after = free + displaced(track, forces, n)
         new_strain = presliding * friction
-        state = found.status[m * n :]
+        state = found.status[wide:]
         slid = elastic - pose.axial @ (after[:, :n] - free[:, :n]) - new_strain
-        slipping = (state[:-1] != 0) & (np.abs(slid) > 0)
         unbalanced = found.gradient[found.status == 0]
         scale = max(float(np.abs(right).max()), 1e-300)
         return BalanceSolution(
@@ -268,7 +239,7 @@ class Balance:
             arclength=arclength,
             share=share,
             strain=new_strain,
-            slip=np.where(slipping, slip + np.abs(slid), 0.0),
+            slip=np.where(state[:-1] != 0, slip + np.abs(slid), 0.0),
             moved=after,
             forces=forces,
             status=state,
@@ -278,28 +249,46 @@ class Balance:
             slope=self._slope(arclength, lateral),
         )
 
-    def _ramp(self, length: Vector, spacing: float) -> Vector:
-        """Return how much softer a point is held that the tip has not wholly passed.
+    def _softness(self, track: Track, behind: Vector, bevel: float) -> Vector:
+        """Return how much softer the needle holds track points near its tip, m/N.
 
-        The entry is held from the first; the others come in smoothly with their inserted
-        length, so that no force jumps when the track grows.
+        The bevel thins the needle to nothing at the tip: there it holds the tissue
+        sideways not at all, and wholly one bevel length behind. The density of the
+        lateral force then has no peak at the tip that only the track spacing bounds.
         """
-        ramp = spacing / np.maximum(length, _LEAST * spacing) - 1.0
-        ramp[0] = 0.0
-        return np.maximum(ramp, 0.0)
+        grip = self._grip * track.spacing
+        return np.maximum(bevel / behind - 1.0, 0.0) / grip
 
-    def _share(self, inserted: Vector, track: Track, depth: float, spread: float) -> Vector:
-        """Return how the tip force is spread over the last bevel length of the track."""
-        n = max(1, int(np.count_nonzero(inserted > _LEAST * track.spacing)))
-        share = inserted[:n]
-        if depth > spread:
-            share = share - coverage(depth - spread, n, track.spacing)
-        total = float(share.sum())
-        if total <= 1e-3 * track.spacing:
-            first = np.zeros(n)
-            first[0] = 1.0
-            return first
-        return np.asarray(share / total)
+
+def displaced(track: Track, forces: Vector, active: int) -> Vector:
+    """Return the displacement of all track points by forces on the first ones, (d, n), m."""
+    between = track.table.between()[:, :, :, :active]
+    moved = np.zeros_like(forces)
+    for a in range(len(moved)):
+        for b in range(len(moved)):
+            moved[a] += between[a, b] @ forces[b, :active]
+    return moved
+
+
+def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Vector:
+    """Return how the tip force is spread over the last bevel length of the track.
+
+    Parameters
+    ----------
+    length : ndarray, shape (n,)
+        Inserted length that each point carries, m.
+    depth, spread, spacing : float
+        Depth of the tip, bevel length, track spacing, m.
+    """
+    share = length
+    if depth > spread:
+        share = share - coverage(depth - spread, len(length), spacing)
+    total = float(share.sum())
+    if total <= _LEAST * spacing:
+        first = np.zeros(len(length))
+        first[0] = 1.0
+        return first
+    return np.asarray(share / total)
 
 
 def _fitted(values: Vector, n: int) -> Vector:

@@ -77,7 +77,7 @@ class Contact:
     def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
         self._scene, self._layer, self.laws = scene, layer, laws
         self._balance = Balance(scene, laws)
-        self._bevel = tip.bevel_length(scene.needle)
+        self._bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
         self._half = np.array(scene.tissue.size) / 2
         self._dimension = scene.dimension
 
@@ -177,7 +177,7 @@ class Contact:
             return replace(state, **solution.fields(), touching=True)
         # the surface breaks: the same step goes on with a track
         direction = self._heading(step, state.track, solution.slope, state.forces, 0.0)
-        track = self._layer.start(state.track.points[0], direction)
+        track = self._layer.extend(state.track, direction)
         wider = np.zeros((self._dimension, track.count))
         wider[:, :1] = state.moved
         return replace(
@@ -270,7 +270,10 @@ class Contact:
         """Return what the tip bears: cutting while it advances, less and less in a hold."""
         if not engaged:
             return TipLimit(0.0, self._bevel)
-        cutting = self.laws.cutting(self.laws.at(track.at(front)).cutting, front)
+        local = self.laws.at(track.at(front))
+        cutting = self.laws.cutting(local.cutting, front)
+        if front < self._bevel:
+            cutting += self.laws.opening(self.laws.at(track.points[0]), front, self._bevel)
         if advance <= _STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)
@@ -287,14 +290,14 @@ class Contact:
         """Return the direction of the next piece of track, in the undeformed tissue.
 
         The direction in space is pulled back by how the tissue ahead of the tip is turned,
-        over one needle diameter: a length of the needle, not of the mesh.
+        over the bevel length: a length of the needle, not of the mesh.
         """
         needle, pose = self._scene.needle, step.after
         direction = tip.cutting_direction(needle, pose.axial, pose.lateral, slope)
         if not forces.any():
             return direction
         place = track.at(depth) if track.count > 1 else track.points[0]
-        ahead = 2 * needle.radius
+        ahead = self._bevel
         section = self._layer.coupling.section
         here = step.sample(track.table, forces, section(place, direction))
         there = step.sample(track.table, forces, section(place + ahead * direction, direction))

@@ -3,7 +3,7 @@
 
 P_k u = int phi_k <u> ds / int phi_k ds, with phi_k the hat function of track point k and
 <u> the mean over the cross-section perpendicular to the track: in 2D the chord of length
-2 r. The same operator samples displacement (K_StoP, Eqs. 18 and 19) and spreads force
+2 r. The entry has no hat above the surface: it takes the cross-section itself. The same operator samples displacement (K_StoP, Eqs. 18 and 19) and spreads force
 (K_PtoS, its transpose, Eqs. 20 and 21), so action and reaction agree, and a limit under
 refinement exists, which point forces do not have.
 """
@@ -33,19 +33,16 @@ class Coupling:
     def __init__(self, model: TissueModel, radius: float) -> None:
         self._model, self._radius = model, radius
 
-    def hat(self, before: Vector | None, point: Vector, after: Vector) -> Footprint:
+    def hat(self, before: Vector, point: Vector, after: Vector) -> Footprint:
         """Return the footprint of a track point.
 
         Parameters
         ----------
         before, point, after : ndarray, shape (d,)
-            Reference positions of the neighbours and of the point, m; no `before` for
-            the entry, which has half a hat.
+            Reference positions of the neighbours and of the point, m.
         """
         places, weights = [], []
         for other in (before, after):
-            if other is None:
-                continue
             span = other - point
             part = 0.5 * (_ALONG + 1)  # 0 at the point, 1 at the neighbour
             length = float(np.linalg.norm(span))

@@ -77,6 +77,15 @@ class Laws:
         left = np.clip(1.0 - slip / self.interaction.friction.weakening_distance, 0.0, 1.0)
         return np.asarray(kinetic + (static - kinetic) * left)
 
+    def opening(self, local: LocalLaws, depth: float, bevel: float) -> float:
+        """Return how much more than the cutting force the tip bears just after puncture, N.
+
+        The broken surface opens as the bevel enters: the puncture force falls to the
+        cutting force over the bevel length, so that no result hangs on the tick at which
+        the surface breaks.
+        """
+        return (local.puncture - local.cutting) * max(0.0, 1.0 - depth / bevel)
+
     def cutting(self, force: float, depth: float) -> float:
         """Return the cutting force at a depth, N, with its periodic ripple (line AB)."""
         ripple = self.interaction.cutting.ripple

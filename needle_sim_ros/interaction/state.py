@@ -37,15 +37,16 @@ class ContactState:
     heading : int
         Sign of the last advance of the base.
     active : int
-        Number of track points that carry forces.
-    lateral : ndarray, shape (d - 1, active)
-        q_k, N, on the tissue, along the base's lateral axes.
+        Number of track points that carry forces, the one ahead of the tip included.
+    lateral : ndarray, shape (d - 1, k)
+        q_k of the k points that the tip has passed, N, on the tissue, along the base's
+        lateral axes.
     friction : ndarray, shape (active,)
         f_k, N, on the tissue, along the base's axis.
     tip : float
         c, N, on the tissue, along the base's axis.
-    arclength : ndarray, shape (active,)
-        s_k, m from the clamp.
+    arclength : ndarray, shape (k,)
+        s_k where the lateral forces act, m from the clamp.
     share : ndarray, shape (active,)
         How the tip force is spread over the track points; adds up to 1.
     strain : ndarray, shape (active,)

@@ -32,6 +32,8 @@ class Track:
         Friction limits at the points, N/m.
     table : ResponseTable
         One row per point.
+    heading : ndarray, shape (d,), or None
+        Unit direction of the cut when the last point was laid.
     """
 
     spacing: float
@@ -39,13 +41,16 @@ class Track:
     static: Vector
     kinetic: Vector
     table: ResponseTable
+    heading: Vector | None = None
 
     @property
     def count(self) -> int:
         """Number of points n."""
         return len(self.points)
 
-    def _with(self, point: Vector, footprint: Footprint, laws: Laws) -> Track:
+    def _with(
+        self, point: Vector, footprint: Footprint, laws: Laws, heading: Vector | None = None
+    ) -> Track:
         limits = laws.at(point)
         return Track(
             self.spacing,
@@ -53,6 +58,7 @@ class Track:
             np.append(self.static, limits.static),
             np.append(self.kinetic, limits.kinetic),
             self.table.appended(footprint),
+            heading,
         )
 
     def with_limits(self, laws: Laws) -> Track:
@@ -101,18 +107,24 @@ class TrackLayer:
         self._empty = Track(spacing, points, none, none, empty)
 
     def touch(self, entry: Vector, direction: Vector) -> Track:
-        """Start with the cross-section at the entry alone: contact before puncture."""
+        """Start with the cross-section at the entry, perpendicular to a unit direction."""
         return self._empty._with(entry, self.coupling.section(entry, direction), self.laws)
 
-    def start(self, entry: Vector, direction: Vector) -> Track:
-        """Start with the entry, half a hat along a unit direction, and the first point."""
-        after = entry + self._empty.spacing * direction
-        hat = self.coupling.hat(None, entry, after)
-        return self.extend(self._empty._with(entry, hat, self.laws), direction)
+    def extend(self, track: Track, heading: Vector) -> Track:
+        """Lay a point h_t ahead of the last one.
 
-    def extend(self, track: Track, direction: Vector) -> Track:
-        """Lay a point h_t ahead of the last one, along a unit direction."""
-        last = track.points[-1]
+        Parameters
+        ----------
+        track : Track
+        heading : ndarray, shape (d,)
+            Unit direction of the cut now, at the last point. The new piece takes the
+            direction expected at its middle, from this and the last heading, so that the
+            path converges with the square of the spacing.
+        """
+        last, direction = track.points[-1], heading
+        if track.heading is not None:
+            direction = 1.5 * heading - 0.5 * track.heading
+            direction = direction / np.linalg.norm(direction)
         point = last + track.spacing * direction
         hat = self.coupling.hat(last, point, 2 * point - last)
-        return track._with(point, hat, self.laws)
+        return track._with(point, hat, self.laws, heading)
