@@ -24,7 +24,7 @@ LAYERS = (
     {"scene", "scene_checks"},
     {"tissue", "needle"},
     {"interaction"},
-    {"observation", "simulator"},
+    {"observation", "simulator", "statistics"},
     {"session", "identify", "planning", "benchmark", "view"},
     {"cli", "ros"},
 )

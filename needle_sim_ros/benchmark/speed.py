@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fast a tick is: the simulator against the paper's algorithm as printed, in one run.
+
+All runs advance side by side along the scene's protocol, one tick each in turn, so that what
+else the machine does hits them alike and only ratios are reported as figures.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needle_sim_ros.benchmark.paper import PAPER_NODES, PaperSimulator
+from needle_sim_ros.benchmark.profile import sampled
+from needle_sim_ros.benchmark.result import BenchmarkResult, Row
+from needle_sim_ros.command import BaseCommand
+from needle_sim_ros.interaction.process import Process
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.simulator import Simulator
+
+Progress = Callable[[int, int], None]
+
+# Modes of the reduced run where the scene names none.
+REDUCED_MODES = 60
+_QUICK = 4.0
+_SHOWN_PARTS = 12
+
+
+@dataclass
+class _Run:
+    """One of the simulations that run side by side."""
+
+    name: str
+    simulator: Simulator | PaperSimulator
+    setup: float
+    times: list[float] = field(default_factory=list)
+    inserted: list[bool] = field(default_factory=list)
+
+    def tick(self, command: BaseCommand, dt: float) -> None:
+        """Time one tick and the reading of what a node publishes."""
+        began = time.perf_counter()
+        seen = self.simulator.step(command, dt)
+        _ = seen.tip_deflection, seen.base_force, seen.marker_displacements
+        self.times.append(time.perf_counter() - began)
+        self.inserted.append(seen.process not in (Process.FREE, Process.CONTACT))
+
+    @property
+    def milliseconds(self) -> NDArray[np.float64]:
+        return 1e3 * np.array(self.times)
+
+    def median(self) -> float:
+        return float(np.median(self.milliseconds))
+
+    def p99(self) -> float:
+        return float(np.percentile(self.milliseconds, 99))
+
+
+def speed(scene: Scene, quick: bool = False, progress: Progress | None = None) -> BenchmarkResult:
+    """Time the ticks of a scene over its protocol.
+
+    Parameters
+    ----------
+    scene : Scene
+        The bare tick is that of the scene as it is; beside it run its quasi-static, Newmark and
+        reduced variants and, in 2D without regions, the paper's algorithm.
+    quick : bool
+        Run the protocol four times as fast: as deep, in a quarter of the ticks.
+    progress : callable, optional
+        Called with (done, total) ticks.
+
+    Returns
+    -------
+    BenchmarkResult
+        Figures as the design names them; track growth is included in all of them.
+    """
+    if quick:
+        scene = _hurried(scene)
+    runs = _runs(scene)
+    commands = list(protocol_commands(scene))
+    dt = scene.solver.time_step
+    side_by_side = _distinct(runs)
+    for number, command in enumerate(commands):
+        first = number % len(side_by_side)
+        for run in side_by_side[first:] + side_by_side[:first]:
+            run.tick(command, dt)
+        if progress is not None:
+            progress(number + 1, len(commands))
+    result = BenchmarkResult("speed", scene.name, _figures(scene, runs), _rows(runs))
+    result.table += _parts(scene, commands)
+    return result
+
+
+def protocol_commands(scene: Scene) -> Iterator[BaseCommand]:
+    """Yield the base command of every tick of the scene's protocol."""
+    for segment in scene.protocol:
+        command = segment.command()
+        for _ in range(max(1, round(segment.duration / scene.solver.time_step))):
+            yield command
+
+
+def _hurried(scene: Scene) -> Scene:
+    protocol = [
+        {
+            "duration": segment.duration / _QUICK,
+            "velocity": [_QUICK * v for v in segment.velocity],
+            "angular_velocity": [_QUICK * v for v in segment.angular_velocity],
+        }
+        for segment in scene.protocol
+    ]
+    return scene.with_changes({"protocol": protocol})
+
+
+def _runs(scene: Scene) -> dict[str, _Run]:
+    """Return the runs by role; roles that come to the same simulation share it."""
+    modes = scene.solver.modes or REDUCED_MODES
+    roles = {
+        "tick": (scene.solver.dynamics, scene.solver.modes),
+        "quasi_static": ("quasi_static", 0),
+        "newmark": ("newmark", 0),
+        "reduced": ("newmark", modes),
+    }
+    if roles["tick"][0] == "quasi_static":
+        roles["tick"] = roles["quasi_static"]
+    runs: dict[str, _Run] = {}
+    made: dict[tuple[str, int], _Run] = {}
+    for role, settings in roles.items():
+        if settings not in made:
+            dynamics, count = settings
+            changes = {"solver.dynamics": dynamics, "solver.modes": count}
+            began = time.perf_counter()
+            simulator = Simulator(scene.with_changes(changes))
+            name = f"{dynamics}, {count} modes" if count else dynamics
+            made[settings] = _Run(name, simulator, time.perf_counter() - began)
+        runs[role] = made[settings]
+    if scene.dimension == 2 and not scene.tissue.regions:
+        began = time.perf_counter()
+        paper = PaperSimulator(scene)
+        name = f"paper as printed, about {PAPER_NODES} nodes"
+        runs["paper"] = _Run(name, paper, time.perf_counter() - began)
+    return runs
+
+
+def _distinct(runs: dict[str, _Run]) -> list[_Run]:
+    return list({id(run): run for run in runs.values()}.values())
+
+
+def _figures(scene: Scene, runs: dict[str, _Run]) -> dict[str, float | None]:
+    tick, paper = runs["tick"], runs.get("paper")
+    steady = runs["quasi_static"].median()
+    figures: dict[str, float | None] = {
+        "paper_over_tick_median": None if paper is None else paper.median() / tick.median(),
+        "tick_p99_over_median": tick.p99() / tick.median(),
+        "newmark_over_quasi_static": runs["newmark"].median() / steady,
+        "reduced_over_quasi_static": runs["reduced"].median() / steady,
+        "node_overrun_fraction": None,
+    }
+    if scene.dimension == 3:
+        figures |= {"tick_3d_median_ms": tick.median(), "tick_3d_p99_ms": tick.p99()}
+    return figures
+
+
+def _rows(runs: dict[str, _Run]) -> list[Row]:
+    paper = runs.get("paper")
+    rows: list[Row] = []
+    for run in _distinct(runs):
+        inside = run.milliseconds[np.array(run.inserted)]
+        rows.append(
+            {
+                "section": "tick, track growth and reading the outputs included",
+                "run": run.name + (" (the scene's own)" if run is runs["tick"] else ""),
+                "ticks": len(run.times),
+                "median_ms": run.median(),
+                "p99_ms": run.p99(),
+                "max_ms": float(run.milliseconds.max()),
+                "median_inserted_ms": float(np.median(inside)) if len(inside) else None,
+                "paper_over_it": None if paper is None else paper.median() / run.median(),
+                "setup_s": run.setup,
+            }
+        )
+    return rows
+
+
+def _parts(scene: Scene, commands: list[BaseCommand]) -> list[Row]:
+    """Return where the tick of the scene spends its time, by function."""
+    run = _Run("profile", Simulator(scene), 0.0)
+    with sampled() as counts:
+        for command in commands:
+            run.tick(command, scene.solver.time_step)
+    total = sum(counts.values())
+    shown = counts.most_common(_SHOWN_PARTS)
+    shares = [(name, count / total) for name, count in shown]
+    if total > sum(count for _, count in shown):
+        shares.append(("the rest", 1 - sum(share for _, share in shares)))
+    section = f"where the scene's own tick spends its time, {total} samples"
+    return [{"section": section, "function": name, "share": share} for name, share in shares]
