@@ -7,6 +7,8 @@ Names starting with `~/` are private to the node.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -36,6 +38,7 @@ APPLIED_VELOCITY = Channel(
     "applied_velocity", "~/applied_velocity", "geometry_msgs/msg/TwistStamped"
 )
 EVENTS = Channel("events", "~/events", "std_msgs/msg/String")
+CLOCK = Channel("clock", "/clock", "rosgraph_msgs/msg/Clock")
 DIAGNOSTICS = Channel("diagnostics", "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 TIP_DEFLECTION = Channel("tip_deflection", "tip_deflection", "geometry_msgs/msg/Vector3Stamped")
@@ -87,7 +90,7 @@ def output_encoders(tissue_frame: str, base_frame: str) -> dict[Channel, Encoder
 
     return {
         TIP_DEFLECTION: lambda t, o: vector(t, o.tip_deflection.tolist()),
-        TIP_POSE: lambda t, o: pose(t, o.tip_position.tolist() + o.tip_orientation.tolist()),
+        TIP_POSE: lambda t, o: pose(t, o.tip_position.tolist() + tip_orientation(o)),
         BASE_WRENCH: lambda t, o: wrench(t, o.base_force.tolist() + o.base_torque.tolist()),
         TISSUE_MARKERS: lambda t, o: cloud(t, o.marker_positions, o.marker_displacements),
         INSERTION_DEPTH: lambda t, o: cdr.float64(o.insertion_depth),
@@ -98,14 +101,36 @@ def output_encoders(tissue_frame: str, base_frame: str) -> dict[Channel, Encoder
     }
 
 
-def motion_encoder(tissue_frame: str) -> Callable[[int, Motion], tuple[Channel, bytes]]:
-    """Return what makes the record of the motion that a tick applied."""
+def tip_orientation(observation: Observation) -> list[float]:
+    """Return the quaternion x y z w of the tip: +z along the deflected needle there."""
+    sx, sy = observation.tip_slope.tolist()
+    x, y, z, w = observation.base_orientation.tolist()
+    slope = math.hypot(sx, sy)
+    if slope == 0.0:
+        return [x, y, z, w]
+    half = math.atan(slope) / 2
+    c, s = math.cos(half), math.sin(half) / slope
+    a, b = -s * sy, s * sx  # turns the base's +z towards (sx, sy, 1)
+    return [
+        w * a + x * c - z * b,
+        w * b + y * c + z * a,
+        x * b - y * a + z * c,
+        w * c - x * a - y * b,
+    ]
+
+
+def motion_encoders(
+    tissue_frame: str,
+) -> dict[str, tuple[Channel, Callable[[int, Motion], bytes]]]:
+    """Return, by kind of motion, where and how the motion of a tick is recorded."""
     pose = cdr.stamped_doubles(tissue_frame, 7)
     twist = cdr.stamped_doubles(tissue_frame, 6)
+    return {
+        "pose": (APPLIED_POSE, lambda t, motion: pose(t, motion.values())),
+        "velocity": (APPLIED_VELOCITY, lambda t, motion: twist(t, motion.values())),
+    }
 
-    def encode(stamp: int, motion: Motion) -> tuple[Channel, bytes]:
-        if motion.kind == "pose":
-            return APPLIED_POSE, pose(stamp, motion.values())
-        return APPLIED_VELOCITY, twist(stamp, motion.values())
 
-    return encode
+def event_message(event: str, **details: object) -> bytes:
+    """Return the bytes of an event: JSON with its name and details."""
+    return cdr.text(json.dumps({"event": event, **details}))

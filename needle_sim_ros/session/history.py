@@ -34,7 +34,7 @@ class History:
     def add(self, motion: Motion) -> None:
         """Note the motion of one tick."""
         self.ticks += 1
-        if motion == self._last:
+        if motion is self._last or motion == self._last:
             self._count += 1
             return
         self._close()

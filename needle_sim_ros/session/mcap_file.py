@@ -322,7 +322,7 @@ class McapFile:
 def _bytes(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    data: bytes = builder.end()
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
     return data
 
 

@@ -13,6 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from needle_sim_ros.command import BaseCommand
 
 Numbers = tuple[float, ...]
@@ -63,8 +66,8 @@ class Motion:
 STILL = Motion("velocity", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def _numbers(array: Sequence[float] | None) -> Numbers | None:
-    return None if array is None else tuple(float(number) for number in array)
+def _numbers(array: NDArray[np.float64] | None) -> Numbers | None:
+    return None if array is None else tuple(array.tolist())
 
 
 def _given(values: Sequence[float]) -> Numbers | None:

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap_ros2.decoder import DecoderFactory
+from numpy.typing import NDArray
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session import channels
@@ -208,30 +208,30 @@ def _series(
     present = [set(messages) for role, messages in table.items() if messages or role in _NEEDED]
     times = sorted(set.intersection(*present))
 
-    def column(role: str, read: Callable[[Any], Any], width: tuple[int, ...]) -> Array | None:
-        messages = table[role]
-        if not messages and role not in _NEEDED:
-            return None
-        rows = [read(messages[time]) for time in times]
+    def column(role: str, read: Callable[[Any], Any], *width: int) -> Array:
+        rows = [read(table[role][time]) for time in times]
         return np.reshape(np.array(rows, dtype=float), (len(times), *width))
+
+    def optional(role: str, read: Callable[[Any], Any], *width: int) -> Array | None:
+        return column(role, read, *width) if table[role] else None
 
     clouds = [_cloud(table["tissue_markers"][time]) for time in times]
     points = np.reshape(np.array(clouds, dtype=float), (len(times), -1 if clouds else 0, 6))
     reference = points[0, :, :3] - points[0, :, 3:] if clouds else np.zeros((0, 3))
     return Series(
         time=np.array(times, dtype=float) * 1e-9,
-        insertion_depth=column("insertion_depth", lambda m: m.data, ()),
-        base_force=column("base_wrench", lambda m: _xyz(m.wrench.force), (3,)),
-        base_torque=column("base_wrench", lambda m: _xyz(m.wrench.torque), (3,)),
-        tip_position=column("tip_pose", lambda m: _xyz(m.pose.position), (3,)),
-        tip_deflection=column("tip_deflection", lambda m: _xyz(m.vector), (3,)),
+        insertion_depth=column("insertion_depth", lambda m: m.data),
+        base_force=column("base_wrench", lambda m: _xyz(m.wrench.force), 3),
+        base_torque=column("base_wrench", lambda m: _xyz(m.wrench.torque), 3),
+        tip_position=column("tip_pose", lambda m: _xyz(m.pose.position), 3),
+        tip_deflection=column("tip_deflection", lambda m: _xyz(m.vector), 3),
         process=[table["process"][time].data for time in times],
         marker_reference=reference,
         marker_displacements=points[:, :, 3:],
-        friction_force=column("friction_force", lambda m: m.data, ()),
-        tip_force=column("tip_force", lambda m: m.data, ()),
-        base_position=column("stage_pose", lambda m: _xyz(m.pose.position), (3,)),
-        base_orientation=column("stage_pose", lambda m: _xyzw(m.pose.orientation), (4,)),
+        friction_force=optional("friction_force", lambda m: m.data),
+        tip_force=optional("tip_force", lambda m: m.data),
+        base_position=optional("stage_pose", lambda m: _xyz(m.pose.position), 3),
+        base_orientation=optional("stage_pose", lambda m: _xyzw(m.pose.orientation), 4),
         scene_text=scene_text,
         metadata=metadata,
     )

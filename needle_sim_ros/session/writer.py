@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session import cdr, channels
+from needle_sim_ros.session import channels
 from needle_sim_ros.session.about import versions
 from needle_sim_ros.session.bag import Bag, Topic
 from needle_sim_ros.session.channels import Channel
@@ -73,7 +72,7 @@ class SessionWriter:
     ) -> None:
         self.folder = folder
         self._encoders = channels.output_encoders(tissue_frame, base_frame)
-        self._encode_motion = channels.motion_encoder(tissue_frame)
+        self._motion_encoders = channels.motion_encoders(tissue_frame)
         everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
         topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
         about = {
@@ -113,14 +112,14 @@ class SessionWriter:
 
     def event(self, time: int, event: str, **details: object) -> None:
         """Record that something happened between ticks, as JSON on the events topic."""
-        text = json.dumps({"event": event, **details})
-        self.write(time, [(channels.EVENTS, cdr.text(text))])
+        self.write(time, [(channels.EVENTS, channels.event_message(event, **details))])
 
     def observe(self, observation: Observation, motion: Motion) -> None:
         """Record all outputs of a tick and the motion it applied."""
         time = nanoseconds(observation.time)
         messages = [(c, encode(time, observation)) for c, encode in self._encoders.items()]
-        messages.append(self._encode_motion(time, motion))
+        channel, encode_motion = self._motion_encoders[motion.kind]
+        messages.append((channel, encode_motion(time, motion)))
         self.write(time, messages)
 
     def close(self, timeout: float = 5.0) -> RecorderStatus:

@@ -44,7 +44,7 @@ def test_all_that_is_written_is_read_back(tmp_path, level):
             expected.append(("/one", k, 1000 * k, b"x" * 12))
             expected.append(("/two", k, 1000 * k + 1, b"y" * 40))
         assert messages == expected
-        only_two = [m.data for _, _, m in reader.iter_messages(topics=["/two"], start_time=1500)]
+        only_two = [m.data for _, _, m in reader.iter_messages(topics=["/two"], starting_at=1500)]
         assert only_two == [b"y" * 40]
         (attachment,) = reader.iter_attachments()
         assert (attachment.name, attachment.data) == ("scene.yaml", b"name: x\n")
