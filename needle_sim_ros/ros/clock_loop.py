@@ -129,7 +129,7 @@ class ClockLoop:
                 continue
             self._note(deadline)
             deadline += self._period
-            missed = (self._now() - deadline) // self._period + 1
+            missed = -((deadline - self._now()) // self._period)  # rounded up
             if missed > 0:
                 self.overruns += missed
                 deadline += missed * self._period

@@ -166,9 +166,11 @@ def _declared(node: Node, name: str, default: object, descriptor: ParameterDescr
     except InvalidParameterTypeException as error:
         raise ParameterError(_wrong_type(name, str(error), default)) from None
     except ParameterException as error:
-        spans = descriptor.floating_point_range
-        allowed = f"; {spans[0].from_value:g} to {spans[0].to_value:g} is allowed" if spans else ""
-        raise ParameterError(f"parameter {name}: {error}{allowed}") from None
+        span, value = descriptor.floating_point_range, re.search(r"value \((.*?)\)", str(error))
+        if not span or value is None:
+            raise ParameterError(f"parameter {name}: {error}") from None
+        allowed = f"{span[0].from_value:g} to {span[0].to_value:g}"
+        raise ParameterError(f"parameter {name} = {value[1]}: must be {allowed}") from None
 
 
 def _wrong_type(name: str, error: str, default: object) -> str:

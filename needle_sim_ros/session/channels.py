@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Encoder = Callable[[int, "Observation"], bytes]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Channel:
     """A topic by its role in a session, its name as written in the node, and its type."""
 
