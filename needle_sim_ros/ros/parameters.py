@@ -69,7 +69,7 @@ class Settings:
 
     @property
     def period(self) -> float:
-        """dt of a tick, s."""
+        """Dt of a tick, s."""
         return 1.0 / self.rate
 
 

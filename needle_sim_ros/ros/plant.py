@@ -64,6 +64,8 @@ class Plant:
         Frames and topic names.
     sinks : mapping of Channel to Sink
         Where messages are published; a topic without a sink is only recorded.
+    warn : callable
+        Told when the simulator refuses a command.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class Plant:
         commands: StageCommands,
         naming: Naming,
         sinks: Mapping[Channel, Sink],
+        warn: Callable[[str], object] = lambda message: None,
     ) -> None:
         self.scene = scene
         self.period = period
@@ -80,11 +83,13 @@ class Plant:
         self.total_ticks = 0
         self.failed_ticks = 0
         self.last_failure = ""
+        self.last_observation: Observation | None = None
         self._naming = naming
         self._simulator = Simulator(scene)
         self._encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
         self._motion_encoders = channels.motion_encoders(naming.tissue_frame)
         self._sinks = sinks
+        self._warn = warn
         self._lock = threading.Lock()
         self._history = History()
         self._session: SessionWriter | None = None
@@ -218,6 +223,7 @@ class Plant:
 
     def _begin(self) -> None:
         base = self.scene.base
+        self.last_observation = None
         self.time = 0.0
         self._position: Numbers = tuple(base.position or ())
         self._orientation: Numbers = tuple(base.orientation)
@@ -229,6 +235,7 @@ class Plant:
         observation, motion = stepped
         self._history.add(motion)
         self.total_ticks += 1
+        self.last_observation = observation
         self.time = observation.time
         self._position = observation.base_position.tolist()
         self._orientation = observation.base_orientation.tolist()
@@ -252,6 +259,7 @@ class Plant:
         except NeedleSimError as error:
             self.commands.refuse_current(type(error).__name__)
             self._event("command refused", reason=str(error))
+            self._warn(f"command refused: {error}")
         try:
             return self._simulator.step(self._command_of(STILL), self.period), STILL
         except NeedleSimError as error:

@@ -67,8 +67,10 @@ class SimNode(Node):
             {channel: self._resolved(channel) for channel in everything},
             parameters.recorded(self),
         )
-        self._sinks = self._make_sinks(settings.publish_clock)
-        self.plant = Plant(settings.scene, settings.period, commands, naming, self._sinks)
+        self.sinks = self._make_sinks(settings.publish_clock)
+        self.plant = Plant(
+            settings.scene, settings.period, commands, naming, self.sinks, self._warn
+        )
         self.loop = self._make_loop()
         self._diagnostics = Diagnostics(self.plant, self.loop, self.get_fully_qualified_name()[1:])
         if settings.record:
@@ -156,11 +158,11 @@ class SimNode(Node):
 
     def _warn_rejected(self, topic: str, reason: str | None) -> None:
         if reason is not None:
-            count = self.plant.commands.rejected_count
-            self.get_logger().warning(
-                f"command on {topic} ignored: {reason} ({count} so far)",
-                throttle_duration_sec=1.0,
-            )
+            self._warn(f"command on {topic} ignored: {reason}")
+
+    def _warn(self, message: str) -> None:
+        count = self.plant.commands.rejected_count
+        self.get_logger().warning(f"{message} ({count} so far)", throttle_duration_sec=1.0)
 
     def _status(self) -> str:
         plant = self.plant
@@ -223,7 +225,7 @@ class SimNode(Node):
             self.plant.event("parameter", name=change.name, value=change.value)
 
     def _diagnose(self) -> None:
-        sink = self._sinks[channels.DIAGNOSTICS]
+        sink = self.sinks[channels.DIAGNOSTICS]
         data = serialize_message(self._diagnostics.message())
         sink.publish(data)
         self.plant.record(channels.DIAGNOSTICS, data)

@@ -80,7 +80,7 @@ class Series:
     def __post_init__(self) -> None:
         n, m = len(self.time), len(self.marker_reference)
         shapes: dict[str, tuple[int, ...]] = {"time": (n,), "base_orientation": (n, 4)}
-        shapes |= {name: (n,) for name in _SCALAR} | {name: (n, 3) for name in _WIDTH_3}
+        shapes |= dict.fromkeys(_SCALAR, (n,)) | dict.fromkeys(_WIDTH_3, (n, 3))
         shapes |= {"marker_reference": (m, 3), "marker_displacements": (n, m, 3)}
         for name, shape in shapes.items():
             array = getattr(self, name)
@@ -131,7 +131,7 @@ class Series:
                 numbers.append(float(getattr(observation, name)))
             process.append(observation.process.value)
         n = len(process)
-        shapes: dict[str, tuple[int, ...]] = {name: (3,) for name in _WIDTH_3}
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_WIDTH_3, (3,))
         shapes |= {"base_orientation": (4,), "marker_displacements": (len(reference), 3)}
         arrays = {name: np.array(numbers, dtype=float) for name, numbers in scalars.items()}
         arrays |= {name: np.reshape(rows, (n, *shapes[name])) for name, rows in vectors.items()}
