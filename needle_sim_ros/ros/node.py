@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the node `needle_sim` until SIGINT or SIGTERM."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from typing import Any
+
+from needle_sim_ros.errors import NeedleSimError
+
+_SWITCH_INTERVAL = 5e-4  # s; the default of 5 ms lets another thread hold up several ticks
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; return the exit status."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    import rclpy  # after the handlers: a signal during this import ends the node cleanly too
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
+
+    # With rclpy's own handlers the context would be gone before the recording is finished.
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        return _run(stop)
+    finally:
+        try_shutdown()
+
+
+def _run(stop: threading.Event) -> int:
+    import rclpy.logging
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from needle_sim_ros.ros.sim_node import SimNode
+
+    logger: Any = rclpy.logging.get_logger("needle_sim")
+    try:
+        node = SimNode()
+    except NeedleSimError as error:
+        logger.fatal(str(error))
+        return 1
+    failures: list[BaseException] = []
+
+    def failed(error: BaseException) -> None:
+        failures.append(error)
+        stop.set()
+
+    def spin() -> None:
+        try:
+            executor.spin()
+        except ExternalShutdownException:
+            stop.set()
+        except BaseException as error:
+            logger.fatal(f"the executor ended: {error!r}")
+            failed(error)
+
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    spinning = threading.Thread(target=spin, name="executor", daemon=True)
+    spinning.start()
+    node.start(failed)
+    logger.info(f"simulating {node.plant.scene.name} at {1 / node.plant.period:g} Hz")
+    stop.wait()
+    node.close()
+    executor.shutdown()
+    spinning.join()
+    node.destroy_node()
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node's parameters: described, ranged, and refused with a reason."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.ros.commands import StageLimits
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.session.writer import BASE_FRAME, TISSUE_FRAME
+
+
+class ParameterError(NeedleSimError):
+    """A parameter that the node cannot start with."""
+
+
+@dataclass(frozen=True)
+class _Number:
+    default: float
+    lowest: float
+    highest: float
+    live: bool
+    description: str
+
+
+_NUMBERS = {
+    "rate": _Number(100.0, 0.1, 10_000.0, False, "Ticks per second, Hz."),
+    "command_timeout": _Number(
+        0.5, 0.0, 3600.0, True, "A command holds for this simulated time, s; 0: until the next."
+    ),
+    "max_base_speed": _Number(0.1, 1e-6, 10.0, True, "Fastest motion of the base, m/s."),
+    "max_base_angular_speed": _Number(1.0, 1e-6, 100.0, True, "Fastest turn of the base, rad/s."),
+    "max_base_jump": _Number(
+        0.5, 1e-6, 100.0, True, "Poses farther than this from the base are refused, m."
+    ),
+}
+_TEXTS = {
+    "scene": ("gao2016", False, "Scene: a file, or the bare name of one that comes along."),
+    "scene_overrides": ("", False, "Scene keys to change: KEY=VALUE; KEY=VALUE."),
+    "record": ("", True, "Folder to record sessions in; empty at the start: do not record."),
+    "tissue_frame": (TISSUE_FRAME, False, "Frame id of the tissue frame."),
+    "base_frame": (BASE_FRAME, False, "Frame id of the needle base frame."),
+}
+_LIVE = tuple(name for name, number in _NUMBERS.items() if number.live)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the node starts with."""
+
+    scene: Scene
+    rate: float
+    limits: StageLimits
+    publish_clock: bool
+    record: str
+    tissue_frame: str
+    base_frame: str
+
+    @property
+    def period(self) -> float:
+        """Dt of a tick, s."""
+        return 1.0 / self.rate
+
+
+def declare(node: Node) -> Settings:
+    """Declare all parameters and return what they were set to.
+
+    Raises
+    ------
+    ParameterError, SceneError
+        Naming the parameter or key, the value and what is allowed.
+    """
+    texts = {name: _declare_text(node, name) for name in _TEXTS}
+    numbers = {name: _declare_number(node, name, number) for name, number in _NUMBERS.items()}
+    publish_clock = _declared(
+        node,
+        "publish_clock",
+        False,
+        ParameterDescriptor(
+            description="Publish the simulated time on /clock: this node is the time source.",
+            read_only=True,
+        ),
+    )
+    if publish_clock and node.get_parameter("use_sim_time").value:
+        raise ParameterError("publish_clock and use_sim_time are both true: choose one time source")
+    overrides = _overrides(texts["scene_overrides"])
+    scene = Scene.load(texts["scene"], overrides)
+    scene = _declare_interaction(node, scene)
+    _check_rate(scene, numbers["rate"])
+    return Settings(
+        scene=scene,
+        rate=numbers["rate"],
+        limits=limits(numbers),
+        publish_clock=bool(publish_clock),
+        record=texts["record"],
+        tissue_frame=texts["tissue_frame"],
+        base_frame=texts["base_frame"],
+    )
+
+
+def limits(numbers: Mapping[str, Any]) -> StageLimits:
+    """Return the stage's limits from the values of their parameters."""
+    return StageLimits(
+        speed=numbers["max_base_speed"],
+        angular_speed=numbers["max_base_angular_speed"],
+        jump=numbers["max_base_jump"],
+        timeout=numbers["command_timeout"],
+    )
+
+
+def current_limits(node: Node) -> StageLimits:
+    """Return the stage's limits as the parameters are now."""
+    return limits({name: node.get_parameter(name).value for name in _LIVE})
+
+
+def validate(node: Node, changes: list[Parameter]) -> SetParametersResult:
+    """Refuse what types and ranges cannot express; changes nothing."""
+    for parameter in changes:
+        name = parameter.name
+        if name == "use_sim_time" and parameter.value != node.get_parameter(name).value:
+            reason = "use_sim_time is read at the start only: restart the node"
+            return SetParametersResult(successful=False, reason=reason)
+        if isinstance(parameter.value, float) and not math.isfinite(parameter.value):
+            reason = f"{parameter.name} = {parameter.value}: must be finite"
+            return SetParametersResult(successful=False, reason=reason)
+    return SetParametersResult(successful=True)
+
+
+def recorded(node: Node) -> dict[str, str]:
+    """Return all parameters as a session keeps them."""
+    names = sorted(node.list_parameters([], depth=0).names)
+    return {f"parameter.{name}": repr(node.get_parameter(name).value) for name in names}
+
+
+def _declare_text(node: Node, name: str) -> str:
+    default, live, description = _TEXTS[name]
+    descriptor = ParameterDescriptor(description=description, read_only=not live)
+    return str(_declared(node, name, default, descriptor))
+
+
+def _declare_number(node: Node, name: str, number: _Number) -> float:
+    span = FloatingPointRange(from_value=number.lowest, to_value=number.highest)
+    descriptor = ParameterDescriptor(
+        description=number.description, read_only=not number.live, floating_point_range=[span]
+    )
+    value = float(_declared(node, name, number.default, descriptor))
+    if not math.isfinite(value):
+        raise ParameterError(f"parameter {name} = {value}: must be finite")
+    return value
+
+
+def _declared(node: Node, name: str, default: object, descriptor: ParameterDescriptor) -> Any:
+    try:
+        return node.declare_parameter(name, default, descriptor).value
+    except InvalidParameterTypeException as error:
+        raise ParameterError(_wrong_type(name, str(error), default)) from None
+    except ParameterException as error:
+        span, value = descriptor.floating_point_range, re.search(r"value \((.*?)\)", str(error))
+        if not span or value is None:
+            raise ParameterError(f"parameter {name}: {error}") from None
+        allowed = f"{span[0].from_value:g} to {span[0].to_value:g}"
+        raise ParameterError(f"parameter {name} = {value[1]}: must be {allowed}") from None
+
+
+def _wrong_type(name: str, error: str, default: object) -> str:
+    match = re.search(r"to '(.*)' of type '(\w+)'", error, flags=re.DOTALL)
+    if match is None:
+        return f"parameter {name}: {error}"
+    value, kind = match[1], match[2].lower()
+    if isinstance(default, float) and kind == "integer":
+        return f"parameter {name} = {value} is an integer: write {value}.0"
+    kinds = {bool: "true or false", float: "a number with a decimal point", str: "a string"}
+    return f"parameter {name} = {value} is of type {kind}: must be {kinds[type(default)]}"
+
+
+def _overrides(text: str) -> dict[str, object]:
+    """Return dotted keys and values of `KEY=VALUE; KEY=VALUE`, values as in YAML."""
+    changes: dict[str, object] = {}
+    for item in filter(str.strip, text.split(";")):
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise ParameterError(f"parameter scene_overrides: {item.strip()!r} is not KEY=VALUE")
+        try:
+            changes[key.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ParameterError(
+                f"parameter scene_overrides: {value.strip()!r} is not a YAML value"
+            ) from None
+    return changes
+
+
+def _declare_interaction(node: Node, scene: Scene) -> Scene:
+    """Declare `interaction.*` with the scene's values; return the scene with what was set."""
+    changes: dict[str, object] = {}
+    for key, default in _leaves("interaction", scene.to_dict()["interaction"]):
+        descriptor = ParameterDescriptor(
+            description=f"Scene key {key}, SI units; the default is the scene's.", read_only=True
+        )
+        value = _declared(node, key, default, descriptor)
+        if value != default:
+            changes[key] = value
+    return scene.with_changes(changes) if changes else scene
+
+
+def _leaves(key: str, value: Any) -> Iterator[tuple[str, float]]:
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _leaves(f"{key}.{name}", inner)
+    else:
+        yield key, float(value)
+
+
+def _check_rate(scene: Scene, rate: float) -> None:
+    """Refuse a tick that Newmark's step does not divide."""
+    if scene.solver.dynamics != "newmark":
+        return
+    step = scene.solver.time_step
+    steps = 1.0 / rate / step
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
+        raise ParameterError(
+            f"parameter rate = {rate:g}: a tick of {1 / rate:g} s is not a whole multiple of the "
+            f"scene's solver.time_step, {step:g} s; set rate to {1 / step:g}, or scene_overrides "
+            f"to solver.time_step={1 / rate:g}"
+        )

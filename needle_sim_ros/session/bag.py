@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rosbag2 folder: one MCAP file and `metadata.yaml`, as `ros2 bag` writes and reads it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from needle_sim_ros.errors import SessionError
+from needle_sim_ros.session.mcap_file import NO_ROOM, Entry, McapFile
+from needle_sim_ros.session.schema import message_schema
+
+_FORMAT_VERSION = 9  # rosbag2 of Jazzy
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag: resolved name, message type `package/msg/Type`, reliability."""
+
+    name: str
+    type: str
+    reliability: str = "reliable"
+    depth: int = 10
+
+    def qos_profiles(self) -> list[dict[str, Any]]:
+        """Return the offered QoS as rosbag2 writes it in metadata version 9."""
+        return [
+            {
+                "history": "keep_last",
+                "depth": self.depth,
+                "reliability": self.reliability,
+                "durability": "volatile",
+                "deadline": dict(_FOREVER),
+                "lifespan": dict(_FOREVER),
+                "liveliness": "automatic",
+                "liveliness_lease_duration": dict(_FOREVER),
+                "avoid_ros_namespace_conventions": False,
+            }
+        ]
+
+
+def new_folder(parent: Path, name: str, now: datetime | None = None) -> Path:
+    """Return a folder in `parent` that does not exist yet: name, UTC time, number if taken.
+
+    Parameters
+    ----------
+    parent : Path
+        Need not exist.
+    name : str
+        What the session is of; characters that file systems dislike are replaced.
+    now : datetime, optional
+        The time to stamp with.
+    """
+    stamp = (now or datetime.now(timezone.utc)).strftime("%Y%m%dT%H%M%SZ")
+    base = re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._-") or "session"
+    path, number = parent / f"{base}_{stamp}", 1
+    while path.exists() or path.is_symlink():
+        number += 1
+        path = parent / f"{base}_{stamp}_{number}"
+    return path
+
+
+class Bag:
+    """A new bag.
+
+    Parameters
+    ----------
+    folder : Path
+        Made here, with its parents; must not exist.
+
+    Raises
+    ------
+    SessionError
+        When the folder exists or cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        library = f"needle_sim_ros mcap/{version('mcap')}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            raise SessionError(f"{folder} exists: a session is never overwritten") from None
+        except OSError as error:
+            raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
+        self.folder = folder
+        self._topics: dict[int, Topic] = {}
+        try:
+            self.file = McapFile(folder / f"{folder.name}_0.mcap", library)
+        except OSError as error:
+            folder.rmdir()
+            raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
+
+    def add_topic(self, topic: Topic) -> int:
+        """Return the channel id of a new topic."""
+        schema = message_schema(topic.type)
+        profiles = yaml.safe_dump(topic.qos_profiles(), sort_keys=False)
+        metadata = {"offered_qos_profiles": profiles, "topic_type_hash": schema.type_hash}
+        channel = self.file.add_channel(topic.name, schema.name, schema.text, metadata)
+        self._topics[channel] = topic
+        return channel
+
+    def write(self, entries: Sequence[Entry]) -> None:
+        """Write messages as one chunk, all or none; `OSError` when the disk refuses."""
+        self.file.write_chunk(entries)
+
+    def close(self) -> int:
+        """Finish file and `metadata.yaml`; return how many messages had to make room.
+
+        Raises
+        ------
+        OSError
+            When there is no room at all; what was written stays readable.
+        """
+        target = self.folder / "metadata.yaml"
+        failure: OSError | None = None
+
+        def closing() -> tuple[str, dict[str, str]]:
+            nonlocal failure
+            information = self._information()
+            text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+            try:
+                target.write_text(text, encoding="utf-8")
+            except OSError as error:
+                # Messages make room for it; for other reasons the MCAP file goes without.
+                if error.errno in NO_ROOM:
+                    raise
+                failure = error
+            return "rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)}
+
+        try:
+            dropped = self.file.finish(closing)
+        except OSError:
+            self.file.abandon()
+            target.unlink(missing_ok=True)
+            raise
+        if failure is not None:
+            raise failure
+        return dropped
+
+    def _information(self) -> dict[str, Any]:
+        first, last = self.file.time_range
+        counts = self.file.message_counts
+        name = f"{self.folder.name}_0.mcap"
+        extent = {
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": {"nanoseconds": last - first},
+            "message_count": sum(counts.values()),
+        }
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": topic.qos_profiles(),
+                    "type_description_hash": message_schema(topic.type).type_hash,
+                },
+                "message_count": counts[channel],
+            }
+            for channel, topic in self._topics.items()
+        ]
+        return {
+            "version": _FORMAT_VERSION,
+            "storage_identifier": "mcap",
+            **_copied(extent),
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [name],
+            "files": [{"path": name, **_copied(extent)}],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+
+
+def _copied(extent: dict[str, Any]) -> dict[str, Any]:
+    # YAML would write one object met twice as an anchor, which rosbag2 need not read.
+    return {key: dict(v) if isinstance(v, dict) else v for key, v in extent.items()}

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CDR bytes of the few message types that every tick writes.
+
+Building a message object and serialising it costs 30 us in Python, packing the same
+bytes with `struct` 0.6 us; the bytes are published and recorded as they are. Padding is
+zero, so that equal messages give equal files. Little-endian XCDR version 1, as every
+ROS 2 middleware sends it: a member is aligned to its size, counted from the end of the
+4-byte encapsulation header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+_SECOND = 1_000_000_000
+_FLOAT32, _UINT32 = 7, 6  # sensor_msgs/PointField
+
+
+def text(value: str) -> bytes:
+    """Return a `std_msgs/String`."""
+    data = value.encode() + b"\x00"
+    return ENCAPSULATION + struct.pack("<I", len(data)) + data
+
+
+def float64(value: float) -> bytes:
+    """Return a `std_msgs/Float64`."""
+    return struct.pack("<4sd", ENCAPSULATION, value)
+
+
+def clock(stamp: int) -> bytes:
+    """Return a `rosgraph_msgs/Clock`; `stamp` in ns."""
+    return struct.pack("<4siI", ENCAPSULATION, *divmod(stamp, _SECOND))
+
+
+def stamped_doubles(frame_id: str, count: int) -> Callable[[int, Sequence[float]], bytes]:
+    """Return a packer of messages that are a header and `count` doubles.
+
+    `Vector3Stamped` has 3, `WrenchStamped` and `TwistStamped` 6, `PoseStamped` 7
+    (position, quaternion x y z w). The packer takes the stamp in ns and the numbers.
+    """
+    frame = frame_id.encode() + b"\x00"
+    room = len(frame) + (-12 - len(frame)) % 8
+    pack = struct.Struct(f"<4siII{room}s{count}d").pack
+    length = len(frame)
+
+    def encode(stamp: int, values: Sequence[float]) -> bytes:
+        return pack(ENCAPSULATION, *divmod(stamp, _SECOND), length, frame, *values)
+
+    return encode
+
+
+def marker_cloud(
+    frame_id: str,
+) -> Callable[[int, NDArray[np.float64], NDArray[np.float64]], bytes]:
+    """Return a packer of `PointCloud2` with x y z dx dy dz (float32, m) and id (uint32).
+
+    The packer takes the stamp in ns, the positions (n, 3) and the displacements (n, 3).
+    """
+    names = ("x", "y", "z", "dx", "dy", "dz", "id")
+    step = 4 * len(names)
+    fields = [(name, 4 * k, _UINT32 if name == "id" else _FLOAT32) for k, name in enumerate(names)]
+    cache: dict[int, tuple[bytes, NDArray[np.void]]] = {}
+
+    def layout(n: int) -> tuple[bytes, NDArray[np.void]]:
+        body = bytearray(8)  # the stamp
+        _put_string(body, frame_id)
+        _put(body, "<II", 4, 1, n)
+        _put(body, "<I", 4, len(fields))
+        for name, offset, datatype in fields:
+            _put_string(body, name)
+            _put(body, "<I", 4, offset)
+            _put(body, "<B", 1, datatype)
+            _put(body, "<I", 4, 1)
+        _put(body, "<B", 1, 0)
+        _put(body, "<III", 4, step, step * n, step * n)
+        points = np.zeros(n, dtype=[("position", "<f4", 3), ("moved", "<f4", 3), ("id", "<u4")])
+        points["id"] = np.arange(n)
+        return bytes(body[8:]), points
+
+    def encode(
+        stamp: int, positions: NDArray[np.float64], displacements: NDArray[np.float64]
+    ) -> bytes:
+        n = len(positions)
+        if n not in cache:
+            cache[n] = layout(n)
+        middle, points = cache[n]
+        if n:
+            points["position"] = positions
+            points["moved"] = displacements
+        head = struct.pack("<4siI", ENCAPSULATION, *divmod(stamp, _SECOND))
+        return b"".join((head, middle, points.tobytes(), b"\x01"))
+
+    return encode
+
+
+def _put(body: bytearray, form: str, alignment: int, *values: int) -> None:
+    body.extend(bytes(-len(body) % alignment))
+    body.extend(struct.pack(form, *values))
+
+
+def _put_string(body: bytearray, value: str) -> None:
+    data = value.encode() + b"\x00"
+    _put(body, "<I", 4, len(data))
+    body.extend(data)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session being written: topics, scene and what a replay needs, in one recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from needle_sim_ros.errors import SessionError
+from needle_sim_ros.session import channels
+from needle_sim_ros.session.about import versions
+from needle_sim_ros.session.bag import Bag, Topic
+from needle_sim_ros.session.channels import Channel
+from needle_sim_ros.session.history import History
+from needle_sim_ros.session.motion import Motion
+from needle_sim_ros.session.recorder import Recorder, RecorderStatus
+
+if TYPE_CHECKING:
+    from needle_sim_ros.observation import Observation
+    from needle_sim_ros.scene import Scene
+
+ABOUT = "needle_sim_ros"
+SCENE_FILE = "scene.yaml"
+HISTORY_FILE = "commands_before.json"
+TISSUE_FRAME, BASE_FRAME = "tissue", "needle_base"
+
+
+def nanoseconds(time: float) -> int:
+    """Return a simulated time in s as a stamp in ns."""
+    return round(time * 1e9)
+
+
+class SessionWriter:
+    """Records one session; see `bags/README.md` for the format.
+
+    Parameters
+    ----------
+    folder : Path
+        Made here; must not exist.
+    scene : Scene
+        What is simulated, with every override applied.
+    tick_period : float
+        The dt of every tick, s.
+    names : mapping of Channel to str, optional
+        Resolved topic names; by default those of a node without remappings.
+    tissue_frame, base_frame : str
+        Frame ids.
+    settings : mapping, optional
+        More for the session to say about itself.
+    history : History, optional
+        What was applied before, if the simulation is not at its start.
+
+    Raises
+    ------
+    SessionError
+        When the folder exists or cannot be written, or ROS messages are not installed.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        scene: Scene,
+        tick_period: float,
+        *,
+        names: Mapping[Channel, str] | None = None,
+        tissue_frame: str = TISSUE_FRAME,
+        base_frame: str = BASE_FRAME,
+        settings: Mapping[str, str] | None = None,
+        history: History | None = None,
+    ) -> None:
+        self.folder = folder
+        self._encoders = channels.output_encoders(tissue_frame, base_frame)
+        self._motion_encoders = channels.motion_encoders(tissue_frame)
+        everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
+        topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
+        about = {
+            "scene": scene.name,
+            "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            "tick_period": repr(tick_period),
+            "start_tick": str(history.ticks if history else 0),
+            "tissue_frame": tissue_frame,
+            "base_frame": base_frame,
+            **versions(),
+            **(settings or {}),
+            **{f"topic.{channel.role}": name for channel, name in topics.items()},
+        }
+        bag = Bag(folder)
+        try:
+            bag.file.add_attachment(SCENE_FILE, "application/yaml", scene.to_yaml().encode())
+            if history is not None and history.ticks:
+                bag.file.add_attachment(
+                    HISTORY_FILE, "application/json", history.to_json().encode()
+                )
+            bag.file.add_metadata(ABOUT, about)
+            self._ids = {c: bag.add_topic(Topic(name, c.type)) for c, name in topics.items()}
+        except OSError as error:
+            bag.file.abandon()
+            raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
+        self._recorder = Recorder(bag)
+
+    @property
+    def status(self) -> RecorderStatus:
+        """Where the recording stands now."""
+        return self._recorder.status
+
+    def write(self, time: int, messages: Iterable[tuple[Channel, bytes]]) -> None:
+        """Record serialised messages of one log time, ns; never waits for the disk."""
+        ids = self._ids
+        self._recorder.write(time, [(ids[channel], data) for channel, data in messages])
+
+    def event(self, time: int, event: str, **details: object) -> None:
+        """Record that something happened between ticks, as JSON on the events topic."""
+        self.write(time, [(channels.EVENTS, channels.event_message(event, **details))])
+
+    def observe(self, observation: Observation, motion: Motion) -> None:
+        """Record all outputs of a tick and the motion it applied."""
+        time = nanoseconds(observation.time)
+        messages = [(c, encode(time, observation)) for c, encode in self._encoders.items()]
+        channel, encode_motion = self._motion_encoders[motion.kind]
+        messages.append((channel, encode_motion(time, motion)))
+        self.write(time, messages)
+
+    def close(self, timeout: float = 5.0) -> RecorderStatus:
+        """Write what waits and finish the session; return how it ended."""
+        return self._recorder.close(timeout)

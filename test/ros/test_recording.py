@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node's recordings: what is published is in the bag, and nothing ends the recording."""
+
+import json
+import resource
+import signal
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped, WrenchStamped
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, String
+from std_srvs.srv import SetBool, Trigger
+
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.session.reader import read_session
+from needle_sim_ros.session.series import Series
+from needle_sim_ros.simulator import Simulator
+
+PUBLISHED = {
+    "/tip_deflection": Vector3Stamped,
+    "/tip_pose": PoseStamped,
+    "/base_wrench": WrenchStamped,
+    "/tissue_markers": PointCloud2,
+    "/insertion_depth": Float64,
+    "/process": String,
+    "/needle_sim/stage_pose": PoseStamped,
+    "/needle_sim/friction_force": Float64,
+    "/needle_sim/tip_force": Float64,
+    "/needle_sim/applied_velocity": TwistStamped,
+    "/needle_sim/applied_pose": PoseStamped,
+    "/needle_sim/events": String,
+    "/diagnostics": DiagnosticArray,
+}
+DT = 0.01
+
+
+def velocity(z):
+    message = TwistStamped()
+    message.header.frame_id = "tissue"
+    message.twist.linear.z = float(z)
+    return message
+
+
+def pose(z):
+    message = PoseStamped()
+    message.header.frame_id = "tissue"
+    message.pose.position.z = float(z)
+    message.pose.orientation.x, message.pose.orientation.w = 1.0, 0.0
+    return message
+
+
+def mcap_file(folder):
+    (file,) = folder.glob("*.mcap")
+    return file
+
+
+def drive(cell):
+    """Drive the paused simulator by both kinds of commands; return the number of ticks."""
+    velocities = cell.publisher(TwistStamped, "/stage_velocity")
+    poses = cell.publisher(PoseStamped, "/base_pose")
+    cell.send(velocities, velocity(-0.05))
+    cell.step(14)
+    cell.send(poses, pose(0.1218))
+    cell.step(20)
+    cell.send(velocities, velocity(float("nan")))
+    cell.send(velocities, velocity(1 / 30))
+    return cell.step(6)["ticks"]
+
+
+def replayed(session):
+    """Return the series of a simulator that does what the session says was applied."""
+    simulator = Simulator(Scene.from_yaml(session.scene_text))
+    dt = float(session.metadata["tick_period"])
+    for motion, count in session.before:
+        for _ in range(count):
+            simulator.step(motion.command(), dt)
+    return Series.from_observations(
+        simulator.step(motion.command(), dt) for _, motion in session.motions
+    )
+
+
+def assert_same(series, expected):
+    for name in ("base_force", "base_torque", "tip_position", "tip_deflection", "base_position"):
+        np.testing.assert_array_equal(getattr(series, name), getattr(expected, name), name)
+    for name in ("insertion_depth", "friction_force", "tip_force", "base_orientation"):
+        np.testing.assert_array_equal(getattr(series, name), getattr(expected, name), name)
+    np.testing.assert_allclose(
+        series.marker_positions, expected.marker_positions, rtol=0, atol=1e-8
+    )
+    assert series.process == expected.process
+
+
+def test_the_bag_holds_exactly_what_was_published(cell, tmp_path):
+    cell.start(record=str(tmp_path), max_base_speed=0.02)
+    folder = cell.sim.plant.recording
+    received = {t: cell.collect(kind, t, raw=True) for t, kind in PUBLISHED.items()}
+    ticks = drive(cell)
+    cell.until(lambda: len(received["/diagnostics"]) > 0)
+    response = cell.call(SetBool, "/needle_sim/record", data=False)
+    assert response.success and response.message.startswith(str(folder))
+    for topic in ("/base_wrench", "/process", "/tissue_markers", "/needle_sim/stage_pose"):
+        cell.until(lambda topic=topic: len(received[topic]) == ticks)
+    cell.until(lambda: any(b"stopped" in data for data in received["/needle_sim/events"]))
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    bag = {topic: [] for topic in (*PUBLISHED, "/base_pose", "/stage_velocity")}
+    with Reader(folder) as reader:
+        assert set(bag) == {c.topic for c in reader.connections}
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        assert reader.message_count == sum(counts.values())
+        for connection, stamp, data in reader.messages():
+            store.deserialize_cdr(data, connection.msgtype)
+            bag[connection.topic].append((stamp, bytes(data)))
+    assert counts == {topic: len(messages) for topic, messages in bag.items()}
+    assert counts["/base_wrench"] == ticks == 40
+    assert counts["/needle_sim/applied_velocity"] + counts["/needle_sim/applied_pose"] == ticks
+    assert (counts["/base_pose"], counts["/stage_velocity"]) == (1, 3)
+    for topic in PUBLISHED:
+        recorded = [data for _, data in bag[topic]]
+        if topic in ("/diagnostics", "/needle_sim/events"):
+            # What was published before the peer listened, or after the recording ended.
+            common = [data for data in received[topic] if data in recorded]
+            assert common and recorded[-len(common) :] == common
+        else:
+            assert recorded == received[topic], topic
+    wrench = deserialize_message(bag["/base_wrench"][5][1], WrenchStamped)
+    assert bag["/base_wrench"][5][0] == wrench.header.stamp.nanosec == 60_000_000
+
+    decoded = {topic: 0 for topic in bag}
+    with mcap_file(folder).open("rb") as stream:
+        reader = make_reader(stream, True, [DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        for _, channel, message, value in reader.iter_decoded_messages():
+            kind = PUBLISHED.get(channel.topic)
+            decoded[channel.topic] += 1
+            if kind is WrenchStamped:
+                expected = deserialize_message(message.data, WrenchStamped)
+                assert value.wrench.force.z == expected.wrench.force.z
+                assert value.header.stamp.nanosec == expected.header.stamp.nanosec
+        for channel in reader.get_summary().channels.values():
+            assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+            assert "reliability: reliable" in channel.metadata["offered_qos_profiles"]
+    assert decoded == counts
+
+
+def test_the_session_alone_replays_to_the_bit(cell, tmp_path):
+    cell.start(record=str(tmp_path), max_base_speed=0.02)
+    ticks = drive(cell)
+    folder, status = cell.sim.plant.stop_recording()
+    assert (status.lost, status.error) == (0, "")
+    session = read_session(folder)
+    assert session.complete
+    assert Scene.from_yaml(session.scene_text) == cell.sim.plant.scene
+    assert session.before == []
+    assert len(session.series) == len(session.motions) == ticks
+    assert {motion.kind for _, motion in session.motions} == {"pose", "velocity"}
+    assert [role for _, role, _ in session.inputs] == [
+        "stage_velocity",
+        "base_pose",
+        "stage_velocity",
+        "stage_velocity",
+    ]
+    assert session.inputs[1][0] == 140_000_000
+    assert session.metadata["package_version"] and session.metadata["numpy"]
+    assert session.metadata["parameter.max_base_speed"] == "0.02"
+    assert_same(session.series, replayed(session))
+
+
+def test_a_recording_that_starts_late_knows_what_came_before(cell, tmp_path):
+    cell.start(record="", max_base_speed=0.02)
+    velocities = cell.publisher(TwistStamped, "/stage_velocity")
+    cell.send(velocities, velocity(-0.02))
+    cell.step(15)
+    cell.sim.plant.start_recording(tmp_path)
+    cell.step(5)
+    cell.send(velocities, velocity(0.01))
+    cell.step(5)
+    folder, _ = cell.sim.plant.stop_recording()
+    session = read_session(folder)
+    assert session.metadata["start_tick"] == "15"
+    assert [count for _, count in session.before] == [15]
+    assert len(session.series) == 10
+    assert_same(session.series, replayed(session))
+
+
+def test_log_time_never_goes_back_over_resets_and_events_say_what_happened(cell, tmp_path):
+    cell.start(record=str(tmp_path))
+    cell.step(3)
+    assert cell.call(Trigger, "/needle_sim/reset").success
+    cell.step(2)
+    assert cell.call(SetBool, "/needle_sim/pause", data=False).success
+    assert cell.call(SetBool, "/needle_sim/pause", data=True).success
+    folder, _ = cell.sim.plant.stop_recording()
+    session = read_session(folder)
+    names = [event["event"] for _, event in session.events]
+    assert names == ["recording started", "reset", "resumed", "paused", "recording stopped"]
+    times = [time for time, _ in session.events]
+    assert times == sorted(times)
+    assert times[1] == 30_000_000
+    np.testing.assert_allclose(np.diff(session.series.time), DT, atol=1e-9)
+
+
+def test_recording_by_service_refuses_with_the_reason_and_never_overwrites(cell, tmp_path):
+    cell.start(record=str(tmp_path))
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert not response.success and "already recording" in response.message
+    assert cell.call(SetBool, "/needle_sim/record", data=False).success
+    response = cell.call(SetBool, "/needle_sim/record", data=False)
+    assert not response.success and "not recording" in response.message
+    for _ in range(2):
+        assert cell.call(SetBool, "/needle_sim/record", data=True).success
+        assert cell.call(SetBool, "/needle_sim/record", data=False).success
+    assert len(list(tmp_path.iterdir())) == 3
+    (tmp_path / "file").write_text("")
+    cell.sim._record_folder = str(tmp_path / "file")
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert not response.success and "Not a directory" in response.message
+    assert cell.step(1)["ticks"] == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_finish_the_recording_and_exit_0(node_process, tmp_path, number):
+    node = node_process(f"record:={tmp_path}")
+    node.until_running()
+    folder = node.session()
+    status, took = node.end(number)
+    assert status == 0, node.output()
+    assert took < 10
+    session = read_session(folder)
+    assert session.complete
+    with Reader(folder) as reader:
+        assert reader.message_count > 100
+    assert session.events[-1][1]["event"] == "recording stopped"
+    assert "Traceback" not in node.output()
+
+
+def test_after_kill_9_all_but_the_last_half_second_is_there(node_process, tmp_path):
+    node = node_process(f"record:={tmp_path}")
+    node.until_running()
+    folder = node.session()
+    size = mcap_file(folder).stat().st_size
+    node.until(lambda: mcap_file(folder).stat().st_size > size + 100_000)
+    node.end(signal.SIGKILL)
+    before = mcap_file(folder).read_bytes()
+    session = read_session(folder)
+    assert not session.complete
+    assert len(session.series) == len(session.motions) > 50
+    np.testing.assert_allclose(np.diff(session.series.time), DT, atol=1e-9)
+    assert mcap_file(folder).read_bytes() == before
+
+
+def test_a_disk_that_fills_up_ends_neither_simulation_nor_recording(node_process, tmp_path):
+    node = node_process(f"record:={tmp_path}")
+    node.until_running()
+    folder = node.session()
+    size = mcap_file(folder).stat().st_size
+    pid, unlimited = node.process.pid, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (size + 1000, resource.RLIM_INFINITY))
+    node.until(lambda: "messages not recorded: File too large" in node.output())
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, unlimited)
+    node.until(lambda: mcap_file(folder).stat().st_size > size + 50_000)
+    status, _ = node.end()
+    assert status == 0, node.output()
+    assert "lost" in node.output()
+    session = read_session(folder)
+    assert session.complete
+    gaps = np.diff(session.series.time)
+    assert gaps.max() > 1.5 * DT
+    with Reader(folder) as reader:
+        assert reader.message_count > 100
+
+
+@pytest.mark.parametrize(
+    "argument, message",
+    [
+        ("scene:=/nowhere.yaml", "no such file"),
+        ("rate:=100", "parameter rate = 100 is an integer: write 100.0"),
+        ("record:=/proc/nowhere", "cannot record in /proc/nowhere"),
+    ],
+)
+def test_a_node_that_cannot_start_says_why_and_exits_1(node_process, argument, message):
+    node = node_process(argument)
+    assert node.process.wait(30) == 1
+    assert message in node.output()
+    assert "Traceback" not in node.output()
