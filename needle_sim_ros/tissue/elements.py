@@ -73,8 +73,8 @@ def assemble(
     d, nodes = basis.mesh.dim(), basis.N
     dofs = np.asarray(basis.element_dofs, dtype=np.int32)
     gradient = np.array([f[0].grad for f in basis.basis])  # (b, d, cells, q)
-    value = np.array([np.broadcast_to(f[0].value, basis.dx.shape) for f in basis.basis])
-    where = np.asarray(basis.global_coordinates().value)
+    value = np.array([np.broadcast_to(f[0], basis.dx.shape) for f in basis.basis])
+    where = np.asarray(basis.global_coordinates())
     at = material(where)
     stiffness = sp.csr_array((d * nodes, d * nodes))
     mass = sp.csr_array((nodes, nodes))

@@ -96,8 +96,14 @@ class TissueMesh:
             cells = cells * (len(lines.at) - 1) + column
         coordinates = np.array([*local, up])
         if not self.quadrilateral:
-            cells, coordinates = _triangle(cells, coordinates)
+            cells, coordinates = _triangle(cells, coordinates, *self._widths(columns[0], layer))
         return cells, coordinates, inside
+
+    def _widths(self, column: Index, layer: Index) -> tuple[Vector, Vector]:
+        """Return the widths of boxes at their lower and upper side, m."""
+        lines = self.lateral[0]
+        at, drift = np.diff(lines.at)[column], np.diff(lines.drift)[column]
+        return at - drift * self.levels[layer], at - drift * self.levels[layer + 1]
 
 
 def _interval(lines: Vector, values: Vector) -> tuple[Index, Vector, NDArray[np.bool_]]:
@@ -122,14 +128,15 @@ def _drifted_interval(
     return index, np.clip((values - left) / (right - left), 0.0, 1.0), inside
 
 
-def _triangle(cells: Index, local: Vector) -> tuple[Index, Vector]:
-    # the box is split along its diagonal (0,0)-(1,1): below it (0,0)(1,0)(1,1), above the rest
-    x, y = local
-    below = x >= y
-    return (
-        2 * cells + np.where(below, 0, 1),
-        np.where(below, np.array([x - y, y]), np.array([x, y - x])),
-    )
+def _triangle(cells: Index, local: Vector, lower: Vector, upper: Vector) -> tuple[Index, Vector]:
+    # the box is split along its diagonal (0,0)-(1,1): below it (0,0)(1,0)(1,1), above the rest;
+    # where lines drift apart the box is a trapezoid and its triangles are not its local halves
+    part, up = local
+    right = part * (lower + up * (upper - lower))  # of the left side, m
+    below = right >= up * upper
+    x = np.where(below, (right - up * upper) / lower, right / upper)
+    y = np.where(below, up, up - x)
+    return 2 * cells + np.where(below, 0, 1), np.clip(np.array([x, y]), 0.0, 1.0)
 
 
 def planned_path(scene: Scene) -> Path:
@@ -168,6 +175,9 @@ def graded(low: float, high: float, fine: tuple[float, float], spacing: float, g
            largest: float) -> Vector:
     """Return lines from `low` to `high`: `spacing` apart within `fine`, growing outwards."""
     left, right = max(fine[0], low), min(fine[1], high)
+    # no slivers between the band and an end
+    left = low if left - low < spacing / 2 else left
+    right = high if high - right < spacing / 2 else right
     count = max(1, round((right - left) / spacing))
     lines = list(np.linspace(left, right, count + 1))
     for end, sign in ((high, 1.0), (low, -1.0)):
