@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What subcommands write: JSON, tables, progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needle_sim_ros.errors import NeedleSimError
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+PROGRESS_DELAY = 2.0  # s; shorter work shows no bar
+
+
+def check_writable(path: Path | None) -> None:
+    """Make sure, before long work, that a file can be written; makes its folder.
+
+    Raises
+    ------
+    NeedleSimError
+        Saying which file and why not.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise NeedleSimError(f"cannot write {path}: it is a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NeedleSimError(f"cannot write {path}: {error.strerror}") from None
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise NeedleSimError(f"cannot write {path}: no permission")
+
+
+def plain(value: Any) -> Any:
+    """Turn arrays into lists and what is not a finite number into ``None``."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path | None, data: dict[str, Any]) -> None:
+    """Write JSON that every reader takes: never NaN or Infinity."""
+    if path is None:
+        return
+    text = json.dumps(plain(data), allow_nan=False)
+    check_writable(path)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def table(rows: Iterable[Sequence[str]], title: str = "") -> str:
+    """Lay out rows in aligned columns: the first to the left, the others to the right."""
+    rows = [list(row) for row in rows]
+    widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(max(map(len, rows)))]
+    lines = [_strong(title)] if title else []
+    for row in rows:
+        cells = [
+            cell.ljust(width) if i == 0 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=False))
+        ]
+        lines.append(("  " + "  ".join(cells)).rstrip())
+    return "\n".join(lines)
+
+
+def _strong(text: str) -> str:
+    if sys.stdout.isatty() and "NO_COLOR" not in os.environ:
+        return f"\033[1m{text}\033[0m"
+    return text
+
+
+def progress(total: float, description: str, unit: str = "tick") -> tqdm[Any]:
+    """Return a progress bar: on a terminal only, and only once the work has taken two seconds."""
+    from tqdm import tqdm
+
+    return tqdm(
+        total=total,
+        desc=description,
+        unit=unit,
+        delay=PROGRESS_DELAY,
+        disable=not sys.stderr.isatty(),
+        leave=False,
+        file=sys.stderr,
+    )
