@@ -12,7 +12,7 @@ import argparse
 from importlib import import_module
 from typing import Protocol, cast
 
-NAMES = ("run", "demo", "plot", "scene", "benchmark")
+NAMES = ("scene",)
 
 
 class Command(Protocol):

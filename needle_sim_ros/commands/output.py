@@ -65,17 +65,24 @@ def write_json(path: Path | None, data: dict[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def table(rows: Iterable[Sequence[str]], title: str = "") -> str:
-    """Lay out rows in aligned columns: the first to the left, the others to the right."""
+def table(rows: Iterable[Sequence[str]], title: str = "", align: str = "<<") -> str:
+    """Lay out rows of equal length in columns under a title.
+
+    Parameters
+    ----------
+    rows : iterable of sequences of str
+        The cells.
+    title : str
+        A line above.
+    align : str
+        ``<`` or ``>`` for each column.
+    """
     rows = [list(row) for row in rows]
-    widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(max(map(len, rows)))]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [_strong(title)] if title else []
     for row in rows:
-        cells = [
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=False))
-        ]
-        lines.append(("  " + "  ".join(cells)).rstrip())
+        cells = [f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)]
+        lines.append(f"  {'  '.join(cells)}".rstrip())
     return "\n".join(lines)
 
 
