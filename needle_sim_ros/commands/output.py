@@ -41,6 +41,15 @@ def check_writable(path: Path | None) -> None:
         raise NeedleSimError(f"cannot write {path}: no permission")
 
 
+def check_picture(path: Path | None) -> None:
+    """Make sure, before long work, that a picture can be written under this name."""
+    from needle_sim_ros.view.files import picture_format
+
+    if path is not None:
+        picture_format(path)
+        check_writable(path)
+
+
 def plain(value: Any) -> Any:
     """Turn arrays into lists and what is not a finite number into ``None``."""
     if isinstance(value, dict):

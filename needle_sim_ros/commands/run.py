@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
-from needle_sim_ros.commands.output import check_writable, progress, table, write_json
+from needle_sim_ros.commands.output import check_picture, check_writable, progress, table, write_json
 from needle_sim_ros.commands.tables import summary_rows
 
 if TYPE_CHECKING:
@@ -46,11 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Run the protocol; print, record, plot and write what was asked for."""
     check_writable(args.json)
-    check_writable(args.plot)
-    if args.plot is not None:
-        from needle_sim_ros.view.files import check_format
-
-        check_format(args.plot)
+    check_picture(args.plot)
     scene = load_scene(args.scene, args.overrides)
 
     from needle_sim_ros.protocol import protocol_commands
@@ -97,7 +93,8 @@ def execute(args: argparse.Namespace) -> int:
 
 def _plot(sim: Simulator, done: Run, commands: list[BaseCommand], path: Path) -> None:
     from needle_sim_ros.session.run import deepest_tick
-    from needle_sim_ros.view.figure import save_figure, session_figure
+    from needle_sim_ros.view.figure import session_figure
+    from needle_sim_ros.view.files import save_figure
     from needle_sim_ros.view.section import take_section
 
     step = sim.scene.solver.time_step

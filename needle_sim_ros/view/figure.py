@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All panels of a run in one figure, and its file."""
+"""All panels of a run in one figure."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -24,7 +23,10 @@ if TYPE_CHECKING:
     from needle_sim_ros.session.series import Series
     from needle_sim_ros.view.section import Section
 
-FORMATS = ("png", "svg", "pdf")
+_FORCE_NOTE = "Axial force: what the base pushes with, positive into the tissue."
+_SECTION_NOTE = (
+    "Section at true scale; its white lines were straight and 10 mm apart in the undeformed tissue."
+)
 
 
 def session_figure(
@@ -51,7 +53,7 @@ def session_figure(
     time_step : float, optional
         Simulated time of a tick, s, marked in the histogram.
     notes : str
-        Below everything: where the data come from.
+        Below everything, after what the panels need to be understood.
 
     Raises
     ------
@@ -80,8 +82,9 @@ def session_figure(
             axes["ticks"].set_title("Tick times")
             draw_tick_histogram(axes["ticks"], tick_times, time_step)
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
-        if notes:
-            figure.supxlabel(notes, x=0.01, ha="left", fontsize=8.5, color="0.25")
+        text = [_FORCE_NOTE, _SECTION_NOTE] if section is not None else [_FORCE_NOTE]
+        below = "\n".join([" ".join(text), *([notes] if notes else [])])
+        figure.supxlabel(below, x=0.01, ha="left", fontsize=8.5, color="0.25")
     return figure
 
 
@@ -93,28 +96,3 @@ def _grid(figure: Figure, rows: list[tuple[float, list[str]]]) -> dict[str, Axes
         for j, name in enumerate(names):
             axes[name] = figure.add_subplot(inner[j])
     return axes
-
-
-def check_format(path: Path) -> None:
-    """Refuse, before long work, a picture's file name that no format belongs to.
-
-    Raises
-    ------
-    NeedleSimError
-        Naming the formats.
-    """
-    if path.suffix.lower().lstrip(".") not in FORMATS:
-        raise NeedleSimError(f"{path}: a picture's name must end in .{', .'.join(FORMATS)}")
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write the figure; the suffix chooses the format. The same data gives the same bytes."""
-    check_format(path)
-    suffix = path.suffix.lower().lstrip(".")
-    metadata: dict[str, None] = {} if suffix == "png" else {"Date": None, "CreationDate": None}
-    if suffix == "svg":
-        metadata.pop("CreationDate")
-    if suffix == "pdf":
-        metadata.pop("Date")
-    with styled():
-        figure.savefig(path, format=suffix, metadata=metadata)
