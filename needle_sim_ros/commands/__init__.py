@@ -12,7 +12,7 @@ import argparse
 from importlib import import_module
 from typing import Protocol, cast
 
-NAMES = ("scene",)
+NAMES = ("run", "plot", "scene")
 
 
 class Command(Protocol):

@@ -18,6 +18,9 @@ from needle_sim_ros.errors import NeedleSimError
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+    from needle_sim_ros.scene import Scene
+    from needle_sim_ros.simulator import Simulator
+
 PROGRESS_DELAY = 2.0  # s; shorter work shows no bar
 
 
@@ -114,3 +117,16 @@ def progress(total: float, description: str, unit: str = "tick") -> tqdm[Any]:
         leave=False,
         file=sys.stderr,
     )
+
+
+def prepared(scene: Scene) -> Simulator:
+    """Return the scene's simulator; its preparation shows progress if it takes long."""
+    from needle_sim_ros.simulator import Simulator
+
+    with progress(1, f"preparing {scene.name}", unit="part") as bar:
+
+        def advance(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        return Simulator(scene, advance)

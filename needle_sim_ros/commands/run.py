@@ -4,18 +4,25 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
-from needle_sim_ros.commands.output import check_picture, check_writable, progress, table, write_json
+from needle_sim_ros.commands.output import check_picture, check_writable, prepared, progress, table, write_json
 from needle_sim_ros.commands.tables import summary_rows
+from needle_sim_ros.errors import SessionError
 
 if TYPE_CHECKING:
     from needle_sim_ros.command import BaseCommand
-    from needle_sim_ros.session.run import Run
+    from needle_sim_ros.observation import Observation
+    from needle_sim_ros.scene import Scene
+    from needle_sim_ros.session.run import Run, Watcher
     from needle_sim_ros.simulator import Simulator
+
+_QUEUE = 20_000  # messages
 
 NAME = "run"
 HELP = "run a scene's protocol"
@@ -50,16 +57,18 @@ def execute(args: argparse.Namespace) -> int:
     scene = load_scene(args.scene, args.overrides)
 
     from needle_sim_ros.protocol import protocol_commands
-    from needle_sim_ros.session.run import run
+    from needle_sim_ros.session.run import InsertionEnd, run
     from needle_sim_ros.session.summary import summarise
-    from needle_sim_ros.simulator import Simulator
 
     step = scene.solver.time_step
     commands = protocol_commands(scene.protocol, step)
-    sim = Simulator(scene)
+    sim = prepared(scene)
+    end_of_insertion = InsertionEnd(sim)
     with ExitStack() as stack:
         bar = stack.enter_context(progress(len(commands), f"running {scene.name}"))
-        watchers: list[Any] = [lambda command, observation: bar.update()]
+        watchers: list[Watcher] = [end_of_insertion, lambda command, observation: bar.update()]
+        if args.record is not None:
+            watchers.append(stack.enter_context(_recording(args.record, scene, step)))
         done = run(sim, commands, step, realtime=args.realtime, watchers=watchers)
     summary = summarise(done.series, step, done.tick_times, done.wall_time)
     print(table(summary_rows(summary), title=scene.name, align="<>"))
@@ -85,27 +94,47 @@ def execute(args: argparse.Namespace) -> int:
             },
         },
     )
+    if args.record is not None:
+        print(f"bag:  {args.record}")
     if args.plot is not None:
-        _plot(sim, done, commands, args.plot)
+        sim.restore(end_of_insertion.snapshot)
+        _plot(sim, done, args.plot)
         print(f"plot: {args.plot}")
     return 0
 
 
-def _plot(sim: Simulator, done: Run, commands: list[BaseCommand], path: Path) -> None:
-    from needle_sim_ros.session.run import deepest_tick
+@contextmanager
+def _recording(folder: Path, scene: Scene, time_step: float) -> Iterator[Watcher]:
+    """Record every tick; says on stderr what could not be written."""
+    from needle_sim_ros.session.motion import Motion
+    from needle_sim_ros.session.writer import SessionWriter
+
+    writer = SessionWriter(folder, scene, time_step)
+
+    def watch(command: BaseCommand, observation: Observation) -> None:
+        writer.observe(observation, Motion.of(command))
+        while writer.status.queued > _QUEUE:  # the run is faster than the disk
+            time.sleep(0.01)
+
+    try:
+        yield watch
+    finally:
+        status = writer.close()
+    if status.lost or status.error:
+        raise SessionError(f"{folder}: {status.lost} messages lost: {status.error}")
+
+
+def _plot(sim: Simulator, done: Run, path: Path) -> None:
+    """Draw the run, with the section in the simulator's present state."""
     from needle_sim_ros.view.figure import session_figure
     from needle_sim_ros.view.files import save_figure
     from needle_sim_ros.view.section import take_section
 
-    step = sim.scene.solver.time_step
-    sim.reset()
-    for command in commands[: deepest_tick(done.series) + 1]:
-        observation = sim.step(command, step)
     figure = session_figure(
         done.series,
-        f"{sim.scene.name}: needle insertion",
-        section=take_section(sim, observation),
+        sim.scene.name,
+        section=take_section(sim, sim.observe()),
         tick_times=done.tick_times,
-        time_step=step,
+        time_step=sim.scene.solver.time_step,
     )
     save_figure(figure, path)

@@ -40,12 +40,12 @@ def plot_session(bag: Path, output: Path) -> Summary:
 
 
 def _section(session: Session) -> tuple[Section | None, str]:
-    """Return the section at the greatest depth, and where it comes from."""
+    """Return the section at the end of the insertion, and where it comes from."""
     from needle_sim_ros.session.resimulate import resimulate
-    from needle_sim_ros.session.run import deepest_tick
+    from needle_sim_ros.session.run import insertion_end
     from needle_sim_ros.view.section import take_section
 
-    tick = deepest_tick(session.series)
+    tick = insertion_end(session.series)
     try:
         sim, observation = resimulate(session, tick)
     except SessionError as error:

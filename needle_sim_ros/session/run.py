@@ -93,10 +93,32 @@ def run(
     return Run(series, tick_times, time.perf_counter() - begin, late)
 
 
-def deepest_tick(series: Series) -> int:
-    """Return the first tick at the greatest insertion depth, but for a nanometre.
+class InsertionEnd:
+    """A watcher that keeps the state at the end of the deepest insertion.
 
-    In a protocol that goes in, holds and comes out: the end of the insertion.
+    Parameters
+    ----------
+    sim : Simulator
+        That runs; its snapshots cost nothing.
     """
-    depth = series.insertion_depth
-    return int(np.argmax(depth >= depth.max() - 1e-9))
+
+    def __init__(self, sim: Simulator) -> None:
+        self._sim = sim
+        self._depth = 0.0
+        self.snapshot = sim.snapshot()
+
+    def __call__(self, command: BaseCommand, observation: Observation) -> None:
+        """Look at one tick."""
+        inserting = observation.process.value == "insertion"
+        if inserting and observation.insertion_depth >= self._depth:
+            self._depth = observation.insertion_depth
+            self.snapshot = self._sim.snapshot()
+
+
+def insertion_end(series: Series) -> int:
+    """Return the tick at the end of the deepest insertion; without one, the last tick."""
+    inserting = np.array(series.process) == "insertion"
+    if not inserting.any():
+        return len(series) - 1
+    depth = np.where(inserting, series.insertion_depth, -np.inf)
+    return len(depth) - 1 - int(np.argmax(depth[::-1]))

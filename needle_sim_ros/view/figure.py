@@ -5,18 +5,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.view.force import draw_force_over_depth, draw_force_over_time
-from needle_sim_ros.view.markers import draw_marker_tracks
+from needle_sim_ros.view.markers import draw_marker_tracks, track_extent
 from needle_sim_ros.view.section import draw_section
 from needle_sim_ros.view.style import styled
 from needle_sim_ros.view.timing import draw_tick_histogram
 
 if TYPE_CHECKING:
-    import numpy as np
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
@@ -66,11 +66,17 @@ def session_figure(
     with styled():
         figure = Figure(layout="constrained")
         FigureCanvasAgg(figure)
-        middle = [name for name, shown in (("section", section), ("markers", tracks)) if shown]
-        bottom = ["depth"] + (["ticks"] if tick_times is not None else [])
-        rows = [(1.0, ["time"])] + ([(1.45, middle)] if middle else []) + [(0.95, bottom)]
-        figure.set_size_inches(11.0, 3.0 * sum(height for height, _ in rows))
-        axes = _grid(figure, rows)
+        shown = {
+            "section": section is not None,
+            "markers": tracks,
+            "depth": True,
+            "ticks": tick_times is not None,
+        }
+        panels = [name for name, is_shown in shown.items() if is_shown]
+        rows = [["time"], *(panels[i : i + 2] for i in range(0, len(panels), 2))]
+        heights = [_height(row) for row in rows]
+        figure.set_size_inches(11.0, 3.0 * sum(heights))
+        axes = _grid(figure, rows, heights, _marker_width(series) if tracks else 1.0)
         draw_force_over_time(axes["time"], series, section.time if section else None)
         axes["depth"].set_title("Force over depth")
         draw_force_over_depth(axes["depth"], series)
@@ -88,11 +94,27 @@ def session_figure(
     return figure
 
 
-def _grid(figure: Figure, rows: list[tuple[float, list[str]]]) -> dict[str, Axes]:
-    outer = figure.add_gridspec(len(rows), 1, height_ratios=[height for height, _ in rows])
+def _height(row: list[str]) -> float:
+    """Return the height of a row of panels beside the others: maps need more than curves."""
+    return 1.45 if {"section", "markers"} & set(row) else 1.0
+
+
+def _marker_width(series: Series) -> float:
+    """Return the width of the marker panel beside the section's, by the markers' extent."""
+    width, height = track_extent(series)
+    return float(np.clip(0.3 + 0.7 * width / height, 0.6, 1.0))
+
+
+def _grid(
+    figure: Figure, rows: list[list[str]], heights: list[float], marker_width: float
+) -> dict[str, Axes]:
+    outer = figure.add_gridspec(len(rows), 1, height_ratios=heights)
     axes: dict[str, Axes] = {}
-    for i, (_, names) in enumerate(rows):
-        inner = outer[i].subgridspec(1, len(names))
+    for i, names in enumerate(rows):
+        widths = [1.0] * len(names)
+        if names == ["section", "markers"]:
+            widths[1] = marker_width
+        inner = outer[i].subgridspec(1, len(names), width_ratios=widths)
         for j, name in enumerate(names):
             axes[name] = figure.add_subplot(inner[j])
     return axes

@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 
     from needle_sim_ros.session.series import Series
 
+    Array = NDArray[np.float64]
+
+_LABEL_SHARE = 0.032  # of the axes: half the size of a number with its distance
 _FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-_REACH = 0.5  # of the spacing of the markers: how far the longest track is drawn
 
 
-def exaggeration(reference: NDArray[np.float64], displacements: NDArray[np.float64]) -> int:
+def exaggeration(reference: Array, displacements: Array) -> int:
     """Return the factor to draw tracks with: the largest that keeps neighbours apart.
 
     Parameters
@@ -36,7 +38,22 @@ def exaggeration(reference: NDArray[np.float64], displacements: NDArray[np.float
     apart = np.linalg.norm(reference[:, None] - reference[None, :], axis=2)
     apart = apart[apart > 0]
     spacing = float(apart.min()) if apart.size else float(np.abs(reference).max())
-    return max((f for f in _FACTORS if f * longest <= _REACH * spacing), default=1)
+    fitting = [
+        factor
+        for factor in _FACTORS
+        if factor * longest <= spacing and not _overlap(reference, factor * displacements)
+    ]
+    return max(fitting, default=1)
+
+
+def _overlap(reference: Array, displacements: Array) -> bool:
+    """Say whether the boxes around any two tracks, starts included, overlap in x and z."""
+    low = (reference + np.minimum(displacements.min(axis=0), 0.0))[:, [0, 2]]
+    high = (reference + np.maximum(displacements.max(axis=0), 0.0))[:, [0, 2]]
+    shared = (low[:, None] < high[None, :]) & (low[None, :] < high[:, None])
+    pairs = shared.all(axis=2)
+    np.fill_diagonal(pairs, False)
+    return bool(pairs.any())
 
 
 def draw_marker_tracks(ax: Axes, series: Series) -> None:
@@ -61,32 +78,37 @@ def draw_marker_tracks(ax: Axes, series: Series) -> None:
     ax.plot(
         *start.T, "o", color=BLACK, markersize=4, markerfacecolor="white", label="start", zorder=3
     )
-    _number(ax, start, drawn)
     _frame(ax, start, drawn)
+    _number(ax, start, np.concatenate([path, start, drawn.reshape(-1, 2)]))
     ax.set_aspect("equal")
+    ax.set_anchor("W")
     ax.set_xlabel("x (mm)")
     ax.set_ylabel("z (mm)")
-    ax.set_title("Marker tracks" + (f", displacements {factor} times larger" if factor > 1 else ""))
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=6, borderaxespad=0.0)
+    ax.set_title("Marker tracks" + (f", drawn {factor} times longer" if factor > 1 else ""))
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
 
 
-def _number(ax: Axes, start: NDArray[np.float64], drawn: NDArray[np.float64]) -> None:
-    """Write each marker's number on the side that its track leaves free."""
-    away = start - (drawn.min(axis=0) + drawn.max(axis=0)) / 2
-    for number, ((x, z), (dx, dz)) in enumerate(zip(start, away, strict=True), start=1):
-        right, up = dx >= 0, dz >= 0
-        ax.annotate(
-            str(number),
-            (x, z),
-            xytext=(4 if right else -4, 3 if up else -3),
-            textcoords="offset points",
-            fontsize=8,
-            ha="left" if right else "right",
-            va="bottom" if up else "top",
-        )
+def _number(ax: Axes, start: Array, curves: Array) -> None:
+    """Write each marker's number beside its start, where least of the ``curves`` is."""
+    spans = np.array([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())])
+    label = _LABEL_SHARE * float(spans.max())  # mm; the axes have equal scales
+    for number, place in enumerate(start, start=1):
+        outward = 1.0 if place[0] >= 0 else -1.0
+        sides = np.array([[outward, 1], [outward, -1], [-outward, 1], [-outward, -1]])
+        centres = place + label * sides
+        near = np.abs(curves[None] - centres[:, None]).max(axis=2) < 0.6 * label
+        x, z = centres[int(near.sum(axis=1).argmin())]
+        ax.text(x, z, str(number), fontsize=8, ha="center", va="center")
 
 
-def _frame(ax: Axes, start: NDArray[np.float64], drawn: NDArray[np.float64]) -> None:
+def track_extent(series: Series) -> tuple[float, float]:
+    """Return width and height that the markers span in the x z plane, m."""
+    reference = series.marker_reference[:, [0, 2]]
+    width, height = np.maximum(np.ptp(reference, axis=0), 0.01)
+    return float(width), float(height)
+
+
+def _frame(ax: Axes, start: Array, drawn: Array) -> None:
     low = np.minimum(start.min(axis=0), drawn.min(axis=(0, 1)))
     high = np.maximum(start.max(axis=0), drawn.max(axis=(0, 1)))
     margin = 0.08 * max(float((high - low).max()), 20.0)

@@ -107,9 +107,12 @@ def draw_section(ax: Axes, section: Section) -> None:
         rasterized=True,
     )
     _draw_grid_lines(ax, section.grid, placed)
-    ax.plot(*MM * section.markers[:, [0, 2]].T, "o", color=BLACK, markersize=3.5, markerfacecolor="white", label="markers")
-    outline = needle_outline(section)
-    ax.add_patch(Polygon(MM * outline, facecolor="0.85", edgecolor=BLACK, linewidth=0.8, label="needle", zorder=4))
+    if len(section.markers):
+        x, z = MM * section.markers[:, [0, 2]].T
+        dot = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white", "linestyle": "none"}
+        ax.plot(x, z, color=BLACK, label="markers", **dot)
+    body = {"facecolor": "0.85", "edgecolor": BLACK, "linewidth": 0.8, "zorder": 4}
+    ax.add_patch(Polygon(MM * needle_outline(section), label="needle", **body))
     halo = [patheffects.Stroke(linewidth=2.6, foreground="white"), patheffects.Normal()]
     if len(section.track):
         ax.plot(
@@ -129,7 +132,9 @@ def draw_section(ax: Axes, section: Section) -> None:
     ax.set_xlabel("x (mm)")
     ax.set_ylabel("z (mm)")
     ax.set_title(f"Section at {section.time:.1f} s, {MM * section.insertion_depth:.1f} mm deep")
-    bar = ax.figure.colorbar(mesh, ax=ax, shrink=0.8, pad=0.02)
+    ax.set_anchor("W")
+    # Inset, so that it stays beside the section wherever the layout puts that.
+    bar = ax.figure.colorbar(mesh, cax=ax.inset_axes((1.02, 0.0, 0.035, 0.82)))
     bar.set_label("displacement (mm)")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3, borderaxespad=0.0)
 
