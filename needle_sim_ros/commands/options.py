@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments that several subcommands share, and what they stand for."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import yaml
+
+from needle_sim_ros.errors import NeedleSimError
+
+if TYPE_CHECKING:
+    from needle_sim_ros.scene import Scene
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json FILE``."""
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """Add ``--set KEY=VALUE``, which may be given several times."""
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        dest="overrides",
+        help="change one value of the scene, e.g. --set solver.dynamics=quasi_static;"
+        " may be given several times",
+    )
+
+
+def parse_overrides(pairs: Sequence[str]) -> dict[str, object]:
+    """Read ``KEY=VALUE`` pairs, each value as YAML.
+
+    Raises
+    ------
+    NeedleSimError
+        On a pair without ``=``, an empty key, or a value that is not YAML.
+    """
+    overrides: dict[str, object] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise NeedleSimError(f"--set {pair}: must be KEY=VALUE")
+        try:
+            overrides[key] = _number(yaml.safe_load(text))
+        except yaml.YAMLError:
+            raise NeedleSimError(f"--set {pair}: {text!r} is not a YAML value") from None
+    return overrides
+
+
+def _number(value: object) -> object:
+    """Read what YAML 1.1 takes for text although it is a number: ``1e-3``, ``2E5``."""
+    if isinstance(value, list):
+        return [_number(item) for item in value]
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def load_scene(name: str, pairs: Sequence[str]) -> Scene:
+    """Load a scene by file or bare name, with ``--set`` applied."""
+    overrides = parse_overrides(pairs)
+    from needle_sim_ros.scene import Scene
+
+    return Scene.load(name, overrides)

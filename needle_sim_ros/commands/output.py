@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What subcommands write: JSON, tables, progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needle_sim_ros.errors import NeedleSimError
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+    from needle_sim_ros.scene import Scene
+    from needle_sim_ros.simulator import Simulator
+
+PROGRESS_DELAY = 2.0  # s; shorter work shows no bar
+
+
+def check_writable(path: Path | None) -> None:
+    """Make sure, before long work, that a file can be written; makes its folder.
+
+    Raises
+    ------
+    NeedleSimError
+        Saying which file and why not.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise NeedleSimError(f"cannot write {path}: it is a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NeedleSimError(f"cannot write {path}: {error.strerror}") from None
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise NeedleSimError(f"cannot write {path}: no permission")
+
+
+def check_picture(path: Path | None) -> None:
+    """Make sure, before long work, that a picture can be written under this name."""
+    from needle_sim_ros.view.files import picture_format
+
+    if path is not None:
+        picture_format(path)
+        check_writable(path)
+
+
+def plain(value: Any) -> Any:
+    """Turn arrays into lists and what is not a finite number into ``None``."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path | None, data: dict[str, Any]) -> None:
+    """Write JSON that every reader takes: never NaN or Infinity."""
+    if path is None:
+        return
+    text = json.dumps(plain(data), allow_nan=False)
+    check_writable(path)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def table(rows: Iterable[Sequence[str]], title: str = "", align: str = "<<") -> str:
+    """Lay out rows of equal length in columns under a title.
+
+    Parameters
+    ----------
+    rows : iterable of sequences of str
+        The cells.
+    title : str
+        A line above.
+    align : str
+        ``<`` or ``>`` for each column.
+    """
+    rows = [list(row) for row in rows]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [_strong(title)] if title else []
+    for row in rows:
+        cells = [f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)]
+        lines.append(f"  {'  '.join(cells)}".rstrip())
+    return "\n".join(lines)
+
+
+def _strong(text: str) -> str:
+    if sys.stdout.isatty() and "NO_COLOR" not in os.environ:
+        return f"\033[1m{text}\033[0m"
+    return text
+
+
+def progress(total: float, description: str, unit: str = "tick") -> tqdm[Any]:
+    """Return a progress bar: on a terminal only, and only once the work has taken two seconds."""
+    from tqdm import tqdm
+
+    return tqdm(
+        total=total,
+        desc=description,
+        unit=unit,
+        delay=PROGRESS_DELAY,
+        disable=not sys.stderr.isatty(),
+        leave=False,
+        file=sys.stderr,
+    )
+
+
+def prepared(scene: Scene) -> Simulator:
+    """Return the scene's simulator; its preparation shows progress if it takes long."""
+    from needle_sim_ros.simulator import Simulator
+
+    with progress(1, f"preparing {scene.name}", unit="part") as bar:
+
+        def advance(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        return Simulator(scene, advance)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The processes of a run as labelled bands behind a curve over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needle_sim_ros.view.style import PROCESSES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+LABEL_SIZE = 8.5  # points
+_CHARACTER = 0.62  # mean width of a character over its size
+_NARROWEST_LABEL = 0.01  # of the axes' width; what is narrower goes unlabelled
+
+
+@dataclass(frozen=True)
+class Band:
+    """A stretch of one process: ticks ``first`` to ``last``, both included."""
+
+    process: str
+    first: int
+    last: int
+
+
+def bands(process: Sequence[str]) -> list[Band]:
+    """Return the runs of equal process labels, in order."""
+    found: list[Band] = []
+    first = 0
+    for i in range(1, len(process) + 1):
+        if i == len(process) or process[i] != process[first]:
+            found.append(Band(process[first], first, i - 1))
+            first = i
+    return found
+
+
+def draw_bands(ax: Axes, time: NDArray[np.float64], process: Sequence[str]) -> None:
+    """Shade the processes over ``time`` (s) and write their names above the axes.
+
+    Set the limits of the time axis before. A name that is wider than its band is
+    written at a slant; neighbours are far enough apart for that in any protocol
+    whose short processes are not next to each other.
+    """
+    left, right = ax.get_xlim()
+    width = ax.get_window_extent().width / ax.figure.dpi * 72  # points
+    for band in bands(process):
+        start = time[band.first - 1] if band.first else min(left, time[0])
+        end = time[band.last]
+        style = PROCESSES[band.process]
+        ax.axvspan(start, end, color=style.band, linewidth=0, zorder=0)
+        if band.first:
+            ax.axvline(start, color="0.6", linewidth=0.6, zorder=0.5)
+        share = (end - start) / (right - left)
+        if share < _NARROWEST_LABEL:
+            continue
+        fits = len(band.process) * _CHARACTER * LABEL_SIZE < share * width
+        ax.text(
+            (start + end) / 2,
+            1.02,
+            band.process,
+            transform=ax.get_xaxis_transform(),
+            fontsize=LABEL_SIZE,
+            ha="center" if fits else "left",
+            va="bottom",
+            rotation=0 if fits else 40,
+            rotation_mode="anchor",
+        )
