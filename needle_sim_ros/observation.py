@@ -164,7 +164,7 @@ class Observation:
         if contact.active == 0:
             return np.zeros((0, 3))
         if contact.touching:
-            return self._world(contact.forces[:, :1].T)
+            return self._world(contact.forces[:1])
         held = len(contact.arclength)
         along = contact.lateral.T @ pose.lateral + np.outer(contact.friction[:held], pose.axial)
         # friction on what the tip has only begun to pass counts at the tip
@@ -179,7 +179,7 @@ class Observation:
             return np.zeros((0, 3))
         if contact.track is None:
             table = self._empty
-            forces = np.zeros((len(self._pose.axial), 0))
+            forces = np.zeros((0, len(self._pose.axial)))
         else:
             table, forces = contact.track.table, contact.forces
         moved = self._dynamics.at_readers(self._tissue, table, forces)

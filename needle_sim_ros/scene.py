@@ -42,7 +42,7 @@ class Mesh:
     element: Literal["quad2", "quad1", "tri2", "tri1"] = "quad2"
     spacing_across: float | None = quantity(None, unit="m", gt=0)
     spacing_along: float | None = quantity(None, unit="m", gt=0)
-    growth: float = quantity(1.4, gt=1, le=4)
+    growth: float = quantity(1.5, gt=1, le=4)
     largest: float | None = quantity(None, unit="m", gt=0)
     band: float | None = quantity(None, unit="m", gt=0)
     uniform: bool = False

@@ -145,7 +145,7 @@ class Simulator:
             if turning.any():
                 after = BasePose.of(place, orientation, self.scene.dimension)
             else:
-                after = replace(pose, origin=plane_points(place, self.scene.dimension)[0])
+                after = pose.moved_to(place)
             contact, tissue, moved = self._substep(contact, tissue, pose, after, dt / parts)
             advance += moved
             pose = after
@@ -228,7 +228,11 @@ class Simulator:
         if touching and position[2] <= 0:
             raise CommandError(f"the base would enter the tissue, at z = {position[2]:g} m")
         if touching and state.contact.track is not None:
-            pose = BasePose.of(position, quaternion, scene.dimension)
+            pose = (
+                state.pose.moved_to(position)
+                if quaternion is state.orientation
+                else BasePose.of(position, quaternion, scene.dimension)
+            )
             aside = np.abs(pose.aside(state.contact.track.points[0])).max()
             if aside > scene.needle.length / 2:
                 raise CommandError(
@@ -294,7 +298,7 @@ class Simulator:
     def _loaded(self) -> tuple[ResponseTable, Vector]:
         contact = self._state.contact
         if contact.track is None:
-            return self._empty, np.zeros((self.scene.dimension, 0))
+            return self._empty, np.zeros((0, self.scene.dimension))
         return contact.track.table, contact.forces
 
     # ------------------------------------------------------------- branching, repeating

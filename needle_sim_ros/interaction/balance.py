@@ -24,6 +24,7 @@ from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.coupling import coverage
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.sliding import SlidingProblem
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.track import Track
 from needle_sim_ros.needle import beam
@@ -113,19 +114,19 @@ class Balance:
         inclined needle follows from the same equilibrium (Eqs. 13 and 14).
         """
         m = len(pose.lateral)
-        compliance = _in_axes(track.table.between(), np.vstack([pose.lateral, pose.axial]))
-        matrix = compliance[:, :, 0, 0].copy()
+        between = track.table.between(1)
+        axes = np.vstack([pose.lateral, pose.axial])
+        matrix = axes @ between @ axes.T
         bend = beam.flexibility(self._tip_at, self._tip_at, self._rigidity)[0, 0]
         matrix[np.arange(m), np.arange(m)] += bend
-        point = track.points[0] + free[:, 0]
+        point = track.points[0] + free[0]
         right = np.append(-pose.aside(point), self._length - pose.along(point))
         low = np.append(np.full(m, -np.inf), 0.0)
         high = np.append(np.full(m, np.inf), limit)
         status = np.zeros(m + 1, dtype=np.int8)
         found = solve_contact(matrix, right, low, high, status, self._tolerance)
         lateral, force = found.x[:m, None], float(found.x[m])
-        forces = (found.x[:m] @ pose.lateral + force * pose.axial)[:, None]
-        between = track.table.between()[:, :, 0, 0]
+        forces = (found.x[:m] @ pose.lateral + force * pose.axial)[None, :]
         return BalanceSolution(
             active=1,
             lateral=lateral,
@@ -135,7 +136,7 @@ class Balance:
             share=np.ones(1),
             strain=np.zeros(1),
             slip=np.zeros(1),
-            moved=free + between @ forces,
+            moved=free + track.table.displacement(forces),
             forces=forces,
             status=np.zeros(0, dtype=np.int8),
             solves=found.iterations,
@@ -161,7 +162,7 @@ class Balance:
         ----------
         track : Track
         step : Step
-        moved : ndarray, shape (d, n)
+        moved : ndarray, shape (n, d)
             Displacement of the track points before the step.
         strain, slip : ndarray, shape (previously active,)
         status : ndarray of int8
@@ -171,82 +172,60 @@ class Balance:
         limit : TipLimit
         """
         pose, free = step.after, step.free(track.table)
-        h, m = track.spacing, len(step.after.lateral)
+        h, m = track.spacing, len(pose.lateral)
         last = min(int(depth / h), track.count - 2)  # the last point that the tip has passed
         n = last + 2  # rows: the points passed and the one ahead of the tip
         behind = depth - h * np.arange(last + 1)  # the tip is so far beyond each point
-        held = max(1, int(np.count_nonzero(behind > _LEAST * h)))
+        held = max(1, last + (behind[-1] > _LEAST * h))
         length = coverage(depth, n, h)
         share = tip_share(length, depth, limit.spread, h)
-        arclength = self._length - behind[:held]
-        axes = np.vstack([pose.lateral, pose.axial])
-        compliance = _in_axes(track.table.between()[:, :, :n, :n], axes)
-        strain, slip = _fitted(strain, n), _fitted(slip, n)
+        slip = _fitted(slip, n)
         stiffness = self.laws.interaction.friction.presliding_stiffness
-        presliding = 1.0 / (stiffness * np.maximum(length, _LEAST * h))
+        soft = np.zeros(held)
+        soft[1:] = self._softness(track, behind[1:held], limit.spread)
+        end = track.at(depth) + share @ free[:n] - pose.origin
+        problem = SlidingProblem(
+            pose=pose,
+            between=track.table.between(n),
+            arclength=self._length - behind[:held],
+            softness=soft,
+            presliding=1.0 / (stiffness * np.maximum(length, _LEAST * h)),
+            share=share,
+            tip_softness=1e-6 / (stiffness * h),
+            aside=((pose.origin - track.points[:held] - free[:held]) @ pose.lateral.T).T.ravel(),
+            elastic=_fitted(strain, n) + (step.advance + (moved[:n] - free[:n]) @ pose.axial),
+            reach=self._length - float(pose.axial @ end),
+            bound=self.laws.friction(track.static[:n], track.kinetic[:n], slip) * length,
+            tip_bound=limit.force,
+            rigidity=self._rigidity,
+            tolerance=self._tolerance,
+        )
+        found = problem.solve(_guess(status, n))
 
-        wide = m * held
-        matrix = np.empty((wide + n + 1, wide + n + 1))
-        bend = beam.flexibility(arclength, arclength, self._rigidity)
-        np.einsum("kk->k", bend)[1:] += self._softness(track, behind[1:held], limit.spread)
-        axial = compliance[m, m]
-        pressed = axial @ share
-        for a in range(m):
-            rows = slice(a * held, (a + 1) * held)
-            for b in range(m):
-                matrix[rows, b * held : (b + 1) * held] = compliance[a, b, :held, :held]
-            matrix[rows, rows] += bend
-            matrix[rows, wide:-1] = compliance[a, m, :held]
-            matrix[wide:-1, rows] = compliance[m, a, :, :held]
-            matrix[rows, -1] = matrix[-1, rows] = compliance[a, m, :held] @ share
-        matrix[wide:-1, wide:-1] = axial
-        np.einsum("kk->k", matrix[wide:-1, wide:-1])[...] += presliding
-        matrix[wide:-1, -1] = matrix[-1, wide:-1] = pressed
-        matrix[-1, -1] = share @ pressed + 1e-6 / (stiffness * h)
-
-        right = np.empty(wide + n + 1)
-        where = track.points[:held].T + free[:, :held]
-        right[:wide] = -(pose.lateral @ (where - pose.origin[:, None])).ravel()
-        elastic = strain + step.advance + pose.axial @ (moved[:, :n] - free[:, :n])
-        right[wide:-1] = elastic
-        right[-1] = self._length - pose.along(track.at(depth) + free[:, :n] @ share)
-
-        bound = self.laws.friction(track.static[:n], track.kinetic[:n], slip) * length
-        low = np.full(wide + n + 1, -np.inf)
-        high = np.full(wide + n + 1, np.inf)
-        low[wide:-1], high[wide:-1] = -bound, bound
-        low[-1], high[-1] = 0.0, limit.force
-        guess = np.zeros(wide + n + 1, dtype=np.int8)
-        guess[wide:] = _guess(status, n)
-        found = solve_contact(matrix, right, low, high, guess, self._tolerance)
-
-        lateral = found.x[:wide].reshape(m, held)
-        friction, force = found.x[wide:-1], float(found.x[-1])
-        forces = np.zeros((len(pose.axial), track.count))
-        forces[:, :held] = pose.lateral.T @ lateral
-        forces[:, :n] += np.outer(pose.axial, friction + force * share)
-        after = free + displaced(track, forces, n)
-        new_strain = presliding * friction
-        state = found.status[wide:]
-        slid = elastic - pose.axial @ (after[:, :n] - free[:, :n]) - new_strain
-        unbalanced = found.gradient[found.status == 0]
-        scale = max(float(np.abs(right).max()), 1e-300)
+        lateral = found.lateral.reshape(m, held)
+        after = free + track.table.displacement(found.forces)
+        forces = found.forces
+        if n < track.count:
+            forces = np.zeros_like(track.points)
+            forces[:n] = found.forces
+        new_strain = problem.presliding * found.friction
+        slid = problem.elastic - (after[:n] - free[:n]) @ pose.axial - new_strain
         return BalanceSolution(
             active=n,
             lateral=lateral,
-            friction=friction,
-            tip=force,
-            arclength=arclength,
+            friction=found.friction,
+            tip=found.tip,
+            arclength=problem.arclength,
             share=share,
             strain=new_strain,
-            slip=np.where(state[:-1] != 0, slip + np.abs(slid), 0.0),
+            slip=np.where(found.status[:-1] != 0, slip + np.abs(slid), 0.0),
             moved=after,
             forces=forces,
-            status=state,
-            solves=found.iterations,
-            residual=float(np.abs(unbalanced).max(initial=0.0)) / scale,
-            overlap=-float(found.gradient[-1]) if state[-1] != 0 else 0.0,
-            slope=self._slope(arclength, lateral),
+            status=found.status,
+            solves=found.solves,
+            residual=found.residual,
+            overlap=found.overlap,
+            slope=self._slope(problem.arclength, lateral),
         )
 
     def _softness(self, track: Track, behind: Vector, bevel: float) -> Vector:
@@ -258,16 +237,6 @@ class Balance:
         """
         grip = self._grip * track.spacing
         return np.maximum(bevel / behind - 1.0, 0.0) / grip
-
-
-def displaced(track: Track, forces: Vector, active: int) -> Vector:
-    """Return the displacement of all track points by forces on the first ones, (d, n), m."""
-    between = track.table.between()[:, :, :, :active]
-    moved = np.zeros_like(forces)
-    for a in range(len(moved)):
-        for b in range(len(moved)):
-            moved[a] += between[a, b] @ forces[b, :active]
-    return moved
 
 
 def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Vector:
@@ -307,13 +276,3 @@ def _guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:
         last = friction[-1] if len(friction) else 0
         friction = np.append(friction, np.full(n - len(friction), last, dtype=np.int8))
     return np.concatenate([friction[:n], tip])
-
-
-def _in_axes(compliance: Vector, axes: Vector) -> Vector:
-    """Turn a compliance (d, d, n, n) into other axes, the rows of a (d, d) matrix."""
-    if np.array_equal(np.abs(axes), np.eye(len(axes))):
-        signs = axes.diagonal()
-        if (signs == 1).all():
-            return compliance
-        return np.asarray(compliance * np.multiply.outer(signs, signs)[:, :, None, None])
-    return np.einsum("ia,jb,abkl->ijkl", axes, axes, compliance, optimize=True)

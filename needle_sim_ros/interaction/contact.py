@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Step:
         s.
     free : callable
         Displacement of the rows of a table at the end of the step without contact
-        forces, (d, n).
+        forces, (n, d).
     sample : callable
         Displacement (d,) of a footprint under forces on the rows of a table.
     """
@@ -58,7 +59,7 @@ class Step:
     free: FreeRows
     sample: Sampler
 
-    @property
+    @cached_property
     def advance(self) -> float:
         """How far the base moves along the needle, m."""
         return float(self.after.axial @ (self.after.origin - self.before.origin))
@@ -85,7 +86,7 @@ class Contact:
         """Return the state of a needle that has touched nothing."""
         d = self._dimension
         return ContactState(
-            lateral=np.empty((d - 1, 0)), moved=np.empty((d, 0)), forces=np.empty((d, 0))
+            lateral=np.empty((d - 1, 0)), moved=np.empty((0, d)), forces=np.empty((0, d))
         )
 
     def change_laws(self, laws: Laws, state: ContactState) -> ContactState:
@@ -144,8 +145,8 @@ class Contact:
             fresh,
             track=track,
             touching=True,
-            moved=np.zeros((self._dimension, 1)),
-            forces=np.zeros((self._dimension, 1)),
+            moved=np.zeros((1, self._dimension)),
+            forces=np.zeros((1, self._dimension)),
         )
 
     def _meets_channel(self, state: ContactState, entry: Vector) -> bool:
@@ -162,7 +163,7 @@ class Contact:
         rest = replace(self.at_rest(), track=track, front=state.front if track else 0.0)
         if track is None:
             return rest
-        zero = np.zeros((self._dimension, track.count))
+        zero = np.zeros_like(track.points)
         return replace(rest, moved=step.free(track.table), forces=zero)
 
     # --------------------------------------------------------------- before the puncture
@@ -178,8 +179,8 @@ class Contact:
         # the surface breaks: the same step goes on with a track
         direction = self._heading(step, state.track, solution.slope, state.forces, 0.0)
         track = self._layer.extend(state.track, direction)
-        wider = np.zeros((self._dimension, track.count))
-        wider[:, :1] = state.moved
+        wider = np.zeros_like(track.points)
+        wider[:1] = state.moved
         return replace(
             self.at_rest(),
             track=track,
@@ -204,10 +205,11 @@ class Contact:
         track, moved, forces = state.track, state.moved, state.forces
         strain, slip = state.strain, state.slip
         solves = 0
-        slope = self._balance.slope(state)
+        slope = None
         solution = None
         for _ in range(_MOST_ROUNDS):
             while depth >= (track.count - 1) * track.spacing:
+                slope = self._balance.slope(state) if slope is None else slope
                 direction = self._heading(step, track, slope, forces, depth)
                 track = self._extended(track, direction)
             moved = _known(moved, track, step)
@@ -254,7 +256,7 @@ class Contact:
         )
 
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
-        zero = np.zeros((self._dimension, track.count))
+        zero = np.zeros_like(track.points)
         moved = step.free(track.table)
         return replace(self.at_rest(), track=track, front=front, moved=moved, forces=zero)
 
@@ -307,9 +309,9 @@ class Contact:
 
 def _known(moved: Vector, track: Track, step: Step) -> Vector:
     """Give points laid within the step the displacement they have without forces."""
-    if moved.shape[1] == track.count:
+    if len(moved) == track.count:
         return moved
     wider = step.free(track.table).copy()
-    wider[:, : moved.shape[1]] = moved
+    wider[: len(moved)] = moved
     return wider
 

@@ -82,7 +82,13 @@ def coverage(depth: float, count: int, spacing: float) -> Vector:
     The integral of hat k from the entry to `depth`: it grows smoothly as the tip passes,
     and all of them add up to `depth` once the last hat is reached.
     """
-    t = np.clip(depth / spacing - np.arange(count), -1.0, 1.0)
-    length = spacing * np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
-    length[0] -= spacing * 0.5  # the entry has no hat above the surface
-    return np.maximum(length, 0.0)
+    length = np.zeros(count)
+    passed = depth / spacing
+    # only the two points about the tip are partly inserted
+    first = min(max(int(passed), 0), count - 1)
+    length[:first] = spacing
+    for k in range(first, min(first + 2, count)):
+        t = min(passed - k, 1.0)
+        length[k] = spacing * (0.5 * (1 + t) ** 2 if t < 0 else 1 - 0.5 * (1 - t) ** 2)
+    length[0] = max(length[0] - spacing * 0.5, 0.0)  # the entry has no hat above the surface
+    return length

@@ -53,9 +53,9 @@ class ContactState:
         Elastic presliding, m.
     slip : ndarray, shape (active,)
         Slip since the point last stuck, m.
-    moved : ndarray, shape (d, n)
+    moved : ndarray, shape (n, d)
         Displacement of every track point, m.
-    forces : ndarray, shape (d, n)
+    forces : ndarray, shape (n, d)
         Force on the tissue at every track point, tip included, mesh coordinates, N.
     status : ndarray of int8
         Bounds that hold, for the next step's warm start.
@@ -80,8 +80,8 @@ class ContactState:
     share: Vector = field(default_factory=_none)
     strain: Vector = field(default_factory=_none)
     slip: Vector = field(default_factory=_none)
-    moved: Vector = field(default_factory=lambda: np.empty((2, 0)))
-    forces: Vector = field(default_factory=lambda: np.empty((2, 0)))
+    moved: Vector = field(default_factory=lambda: np.empty((0, 2)))
+    forces: Vector = field(default_factory=lambda: np.empty((0, 2)))
     status: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, dtype=np.int8))
     solves: int = 0
     residual: float = 0.0

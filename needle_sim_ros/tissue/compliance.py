@@ -151,26 +151,33 @@ class NodalCompliance:
         d, slots, n = self._d, self._slot[footprint.nodes], self._d * len(self._kept)
         at_nodes = np.empty((d, len(self._kept), d))
         at_readers = np.empty((self._read.shape[0], d))
+        # sums along rows, not products of matrices: the same bits wherever a node is kept
+        share = footprint.weights[:, None]
         for a in range(d):
             rows = self._blocks[d * slots + a, :n]
-            at_nodes[a] = (footprint.weights @ rows).reshape(-1, d)
-            at_readers[:, a] = self._read[:, d * slots + a] @ footprint.weights
+            at_nodes[a] = np.add.reduce(rows * share, axis=0).reshape(-1, d)
+            columns = self._read[:, d * slots + a]
+            at_readers[:, a] = (columns * footprint.weights).sum(axis=1)
         return at_nodes, at_readers
 
     def slots(self, nodes: Index) -> Index:
         """Return where nodes are among the kept ones."""
         return self._slot[nodes]
 
-    def displacement(self, loads: Vector, nodes: Index) -> Vector:
+    def displacement(self, loaded: Index, loads: Vector, nodes: Index) -> Vector:
         """Return the static displacement of nodes, (k, d), under loads on kept nodes.
 
         Parameters
         ----------
-        loads : ndarray, shape (nodes of the tissue, d)
-            Forces, N, zero except on kept nodes.
+        loaded : ndarray of int, shape (l,)
+            Nodes, which may repeat.
+        loads : ndarray, shape (l, d)
+            Forces on them, N.
         nodes : ndarray of int, shape (k,)
         """
         self.ensure(nodes)
-        d, n = self._d, self._d * len(self._kept)
+        d = self._d
         places = (d * self._slot[nodes][:, None] + np.arange(d)).ravel()
-        return np.asarray((self._blocks[places, :n] @ loads[self._kept].ravel()).reshape(-1, d))
+        causes = (d * self._slot[loaded][:, None] + np.arange(d)).ravel()
+        block = self._blocks[places[:, None], causes[None, :]]
+        return np.asarray((block @ loads.ravel()).reshape(-1, d))

@@ -24,7 +24,7 @@ class Prediction(Protocol):
     """The end of a step as it would be without contact forces in it."""
 
     def rows(self, table: ResponseTable) -> Vector:
-        """Return the displacement of the rows of a table, shape (d, n), m."""
+        """Return the displacement of the rows of a table, shape (n, d), m."""
         ...
 
 
@@ -45,7 +45,7 @@ class Dynamics(Protocol):
     def complete(
         self, state: Any, prediction: Any, table: ResponseTable, forces: Vector
     ) -> Any:
-        """End a step with forces (d, n) on the rows of a table; return the new state."""
+        """End a step with forces (n, d) on the rows of a table; return the new state."""
         ...
 
     def at_nodes(self, state: Any, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
@@ -70,7 +70,7 @@ def expand(model: TissueModel, values: Vector) -> Vector:
 
 class _AtRest:
     def rows(self, table: ResponseTable) -> Vector:
-        return np.zeros((table.compliance.dimension, table.count))
+        return np.zeros((table.count, table.compliance.dimension))
 
 
 class QuasiStatic:
@@ -97,11 +97,11 @@ class QuasiStatic:
 
     def at_nodes(self, state: None, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
         """Displacement of nodes from the kept responses."""
-        return self.compliance.displacement(table.spread(forces), nodes)
+        return self.compliance.displacement(table.nodes, table.loads(forces), nodes)
 
     def at_readers(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers from the kept responses."""
-        return np.einsum("ran,an->r", table.at_readers(), forces)
+        return np.asarray(table.at_readers() @ forces.ravel())
 
     def everywhere(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """One solve of Eq. (5)."""

@@ -204,7 +204,7 @@ def _growing(span: float, first: float, growth: float, largest: float) -> Vector
 def spacings(scene: Scene) -> tuple[float, float, float]:
     """Return spacing across and along the path and the half width of the fine band, m."""
     mesh, radius = scene.tissue.mesh, scene.needle.radius
-    along = mesh.spacing_along or scene.solver.track_spacing
+    along = mesh.spacing_along or 2 * scene.solver.track_spacing
     across = mesh.spacing_across or radius
     return across, along, mesh.band or max(2 * across, 2 * radius)
 
@@ -220,7 +220,7 @@ def build_mesh(scene: Scene) -> TissueMesh:
     mesh, path = scene.tissue.mesh, planned_path(scene)
     across, along, band = spacings(scene)
     half_x, half_y, floor = half_widths(scene)
-    largest = mesh.largest or min(scene.tissue.size) / 10
+    largest = mesh.largest or min(scene.tissue.size) / 8
     depth = path.depth * -path.direction[2]
     lateral = []
     for axis, half in ((0, half_x), (1, half_y))[: scene.dimension - 1]:

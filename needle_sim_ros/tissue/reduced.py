@@ -27,7 +27,7 @@ from needle_sim_ros.tissue.response import ModalPart, ResponseTable
 
 @dataclass(frozen=True)
 class ModalMotion:
-    """Modal displacement, velocity, acceleration; filtered and last forces, (d, n) each."""
+    """Modal displacement, velocity, acceleration; filtered and last forces, (n, d) each."""
 
     u: Vector
     v: Vector
@@ -45,7 +45,7 @@ class ModalPrediction:
     flexibility: Vector
 
     def rows(self, table: ResponseTable) -> Vector:
-        """Return the displacement of the rows of a table, shape (d, n)."""
+        """Return the displacement of the rows of a table, shape (n, d)."""
         filtered = _widened(self.filtered, table.count)
         return _displacement(self.u, filtered, table, self.flexibility)
 
@@ -63,20 +63,17 @@ def lowest_modes(model: TissueModel, factor: Factor, count: int) -> tuple[Vector
 
 
 def _widened(forces: Vector, count: int) -> Vector:
-    if forces.shape[1] >= count:
-        return forces[:, :count]
-    wider = np.zeros((len(forces), count))
-    wider[:, : forces.shape[1]] = forces
+    if len(forces) >= count:
+        return forces[:count]
+    wider = np.zeros((count, forces.shape[1]))
+    wider[: len(forces)] = forces
     return wider
 
 
 def _displacement(u: Vector, filtered: Vector, table: ResponseTable, flexibility: Vector) -> Vector:
-    shapes = table.modal()
-    if table.count == 0:
-        return np.zeros((shapes.shape[1], 0))
-    static = np.einsum("abkl,bl->ak", table.static(), filtered, optimize=True)
-    modal = u - flexibility * np.einsum("man,an->m", shapes, filtered, optimize=True)
-    return np.asarray(static + np.tensordot(modal, shapes, 1))
+    shapes, force = table.modal(), filtered.ravel()
+    modal = u - flexibility * (shapes @ force)
+    return np.asarray(table.static() @ force + modal @ shapes).reshape(filtered.shape)
 
 
 class ReducedNewmark:
@@ -111,7 +108,7 @@ class ReducedNewmark:
 
     def initial(self) -> ModalMotion:
         """At rest."""
-        zero, none = np.zeros(len(self.eigenvalues)), np.zeros((self._model.dimension, 0))
+        zero, none = np.zeros(len(self.eigenvalues)), np.zeros((0, self._model.dimension))
         return ModalMotion(zero, zero, zero, none, none)
 
     def predict(self, state: ModalMotion) -> ModalPrediction:
@@ -125,15 +122,14 @@ class ReducedNewmark:
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
     ) -> ModalMotion:
         """Load the modes and the filter with the contact forces."""
-        load = np.einsum("man,an->m", table.modal(), forces, optimize=True)
-        u = prediction.u + self._dynamic * load
+        u = prediction.u + self._dynamic * (table.modal() @ forces.ravel())
         v, a = self.rule.rates(u, state.u, state.v, state.a)
         filtered = self._share * forces + _widened(prediction.filtered, table.count)
         return ModalMotion(u, v, a, filtered, forces)
 
     def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
         filtered = _widened(state.filtered, table.count)
-        static = np.einsum("man,an->m", table.modal(), filtered, optimize=True)
+        static = table.modal() @ filtered.ravel()
         return filtered, state.u - self._flexibility * static
 
     def at_nodes(
@@ -141,13 +137,13 @@ class ReducedNewmark:
     ) -> Vector:
         """Displacement of nodes."""
         filtered, modal = self._modal(state, table)
-        static = self.compliance.displacement(table.spread(filtered), nodes)
+        static = self.compliance.displacement(table.nodes, table.loads(filtered), nodes)
         return np.asarray(static + self.modes.shapes[nodes] @ modal)
 
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""
         filtered, modal = self._modal(state, table)
-        static = np.einsum("ran,an->r", table.at_readers(), filtered)
+        static = table.at_readers() @ filtered.ravel()
         return np.asarray(static + self._read_shapes @ modal)
 
     def everywhere(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:

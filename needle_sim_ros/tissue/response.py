@@ -20,29 +20,32 @@ class _Store:
 
     def __init__(self, readers: int, d: int, modes: int | None) -> None:
         self.length = 0
-        self.static = np.zeros((d, d, 0, 0))
-        self.between = self.static if modes is None else np.zeros((d, d, 0, 0))
-        self.read = np.zeros((readers, d, 0))
-        self.modal = np.zeros((modes or 0, d, 0))
+        self.d = d
+        self.static = np.zeros((0, 0))
+        self.between = self.static if modes is None else np.zeros((0, 0))
+        self.read = np.zeros((readers, 0))
+        self.modal = np.zeros((modes or 0, 0))
 
     def with_room(self, count: int) -> _Store:
         """Return this store, or a wider or separate one that holds its first `count` rows."""
-        capacity = self.static.shape[-1]
+        capacity = len(self.static) // self.d
         if self.length == count and count < capacity:
             return self
-        size = capacity if count < capacity else max(32, 2 * capacity)
+        size = self.d * (capacity if count < capacity else max(32, 2 * capacity))
         twin = _Store.__new__(_Store)
-        twin.length = count
-        twin.static = _padded(self.static, (2, 3), size)
+        twin.length, twin.d = count, self.d
+        twin.static = _padded(self.static, (size, size))
         same = self.between is self.static
-        twin.between = twin.static if same else _padded(self.between, (2, 3), size)
-        twin.read = _padded(self.read, (2,), size)
-        twin.modal = _padded(self.modal, (2,), size)
+        twin.between = twin.static if same else _padded(self.between, (size, size))
+        twin.read = _padded(self.read, (len(self.read), size))
+        twin.modal = _padded(self.modal, (len(self.modal), size))
         return twin
 
 
 class ResponseTable:
     """Effective compliance between footprints and at the readers; immutable.
+
+    Component a of row k is entry d k + a, so arrays (n, d) fit when raveled.
 
     Parameters
     ----------
@@ -67,21 +70,29 @@ class ResponseTable:
         self.weights = np.empty(0)
         self.starts: Index = np.empty(0, dtype=np.intp)
 
-    def between(self) -> Vector:
-        """Displacement component a of row k per force component b on row l, (d, d, n, n)."""
-        return self._store.between[:, :, : self.count, : self.count]
+    def between(self, rows: int | None = None) -> Vector:
+        """Displacement of the first rows per force on them within a step, (n d, n d), m/N."""
+        size = self.compliance.dimension * (self.count if rows is None else rows)
+        return self._store.between[:size, :size]
+
+    def displacement(self, forces: Vector) -> Vector:
+        """Return the displacement of all rows, (n, d), by forces (k, d) on the first k."""
+        wide = self.compliance.dimension * self.count
+        block = self._store.between[:wide, : forces.size]
+        return np.asarray(block @ forces.ravel()).reshape(self.count, -1)
 
     def static(self) -> Vector:
-        """The same under static loads, (d, d, n, n)."""
-        return self._store.static[:, :, : self.count, : self.count]
+        """Displacement of the rows per static force on them, (n d, n d), m/N."""
+        size = self.compliance.dimension * self.count
+        return self._store.static[:size, :size]
 
     def at_readers(self) -> Vector:
-        """Static displacement of the readers per force component b on row l, (r, d, n)."""
-        return self._store.read[:, :, : self.count]
+        """Static displacement of the readers per force on the rows, (r, n d), m/N."""
+        return self._store.read[:, : self.compliance.dimension * self.count]
 
     def modal(self) -> Vector:
-        """Shapes of the modes at the rows, (modes, d, n)."""
-        return self._store.modal[:, :, : self.count]
+        """Shapes of the modes at the rows, (modes, n d)."""
+        return self._store.modal[:, : self.compliance.dimension * self.count]
 
     def appended(self, footprint: Footprint) -> ResponseTable:
         """Return a table with one more row; the common rows are shared, not copied."""
@@ -93,46 +104,45 @@ class ResponseTable:
         twin.nodes = np.concatenate([self.nodes, footprint.nodes])
         twin.weights = np.concatenate([self.weights, footprint.weights])
         twin.starts = np.append(self.starts, len(self.nodes))
-        n = store.length = row + 1
+        store.length = row + 1
+        own, wide = slice(d * row, d * row + d), d * (row + 1)
         slots = self.compliance.slots(twin.nodes)
         for a in range(d):
             spread = at_nodes[a, slots] * twin.weights[:, None]
-            rows = np.add.reduceat(spread, twin.starts, axis=0)  # (n, d)
-            for b in range(d):
-                store.static[b, a, :n, row] = rows[:, b]
-                store.static[a, b, row, :n] = rows[:, b]
-        own = store.static[:, :, row, row]
-        store.static[:, :, row, row] = 0.5 * (own + own.T)
-        store.read[:, :, row] = at_readers
+            column = np.add.reduceat(spread, twin.starts, axis=0).ravel()
+            store.static[:wide, d * row + a] = column
+            store.static[d * row + a, : d * row] = column[: d * row]
+        block = store.static[own, own]
+        store.static[own, own] = 0.5 * (block + block.T)
+        store.read[:, own] = at_readers
         if self.modes is not None:
-            store.modal[:, :, row] = shape = self.modes.at(footprint)
-            amended = store.modal[:, :, :n] * self.modes.amendment[:, None, None]
-            column = np.einsum("iak,ib->abk", amended, shape, optimize=True)
-            column += self.modes.residual_share * store.static[:, :, :n, row]
-            store.between[:, :, :n, row] = column
-            store.between[:, :, row, :n] = column.transpose(1, 0, 2)
+            store.modal[:, own] = shape = self.modes.at(footprint)
+            amended = store.modal[:, :wide].T @ (self.modes.amendment[:, None] * shape)
+            amended += self.modes.residual_share * store.static[:wide, own]
+            store.between[:wide, own] = amended
+            store.between[own, :wide] = amended.T
         return twin
 
     def sample(self, field: Vector) -> Vector:
-        """Sample a nodal field, shape (nodes, d), at the rows; returns (d, n)."""
+        """Sample a nodal field, shape (nodes, d), at the rows; returns (n, d)."""
         if self.count == 0:
-            return np.zeros((field.shape[1], 0))
+            return np.zeros((0, field.shape[1]))
         spread = field[self.nodes] * self.weights[:, None]
-        return np.asarray(np.add.reduceat(spread, self.starts, axis=0).T)
+        return np.asarray(np.add.reduceat(spread, self.starts, axis=0))
+
+    def loads(self, forces: Vector) -> Vector:
+        """Spread forces on the rows, shape (n, d), to `nodes`; returns (len(nodes), d), N."""
+        lengths = np.diff(np.append(self.starts, len(self.nodes)))
+        return np.asarray(np.repeat(forces, lengths, axis=0) * self.weights[:, None])
 
     def spread(self, forces: Vector) -> Vector:
-        """Spread forces on the rows, shape (d, n), to all nodes; returns (nodes, d), N."""
-        d, total = len(forces), self.compliance.total_nodes
-        lengths = np.diff(np.append(self.starts, len(self.nodes)))
-        loads = np.empty((total, d))
-        for a in range(d):
-            each = np.repeat(forces[a], lengths) * self.weights
-            loads[:, a] = np.bincount(self.nodes, weights=each, minlength=total)
-        return loads
+        """Spread forces on the rows, shape (n, d), to all nodes; returns (nodes, d), N."""
+        each, total = self.loads(forces), self.compliance.total_nodes
+        columns = [np.bincount(self.nodes, weights=f, minlength=total) for f in each.T]
+        return np.stack(columns, axis=1)
 
 
-def _padded(array: Vector, axes: tuple[int, ...], size: int) -> Vector:
-    shape = [size if axis in axes else n for axis, n in enumerate(array.shape)]
+def _padded(array: Vector, shape: tuple[int, ...]) -> Vector:
     wider = np.zeros(shape)
     wider[tuple(slice(n) for n in array.shape)] = array
     return wider

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The forces between an inserted needle and its track, from compliances.
+
+Most ticks slide: every friction force stands at its limit, as it did the tick before. Then
+only the lateral forces are unknown, and a check of the other conditions stands for the
+bounded solve; where the check fails, the bounded problem is solved in full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from needle_sim_ros.errors import SolverError
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.contact_solve import solve_contact
+from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.needle import beam
+
+
+@dataclass(frozen=True)
+class TrackForces:
+    """Solution, members as in ContactState.
+
+    Attributes
+    ----------
+    forces : ndarray, shape (n, d)
+        All forces on the tissue, mesh coordinates, N.
+    overlap : float
+        How far the tip wants beyond the end of the track, m; 0 where its force is free.
+    residual : float
+        Largest violation of equilibrium, relative to the largest gap.
+    """
+
+    lateral: Vector
+    friction: Vector
+    tip: float
+    forces: Vector
+    status: NDArray[np.int8]
+    overlap: float
+    residual: float
+    solves: int
+
+
+@dataclass(frozen=True)
+class SlidingProblem:
+    """Minimise the complementary energy over the forces, within their bounds.
+
+    n rows of the track carry friction, the first k of them are held laterally.
+
+    Attributes
+    ----------
+    pose : BasePose
+    between : ndarray, shape (n d, n d)
+        Compliance of the tissue, m/N.
+    arclength : ndarray, shape (k,)
+        Of the held points, falling distance to the tip, m.
+    softness : ndarray, shape (k,)
+        Of the hold near the tip, m/N.
+    presliding : ndarray, shape (n,)
+        Of the elastic presliding, m/N.
+    share : ndarray, shape (n,)
+        How the tip force is spread.
+    tip_softness : float
+        Of the tip itself, m/N.
+    aside : ndarray, shape ((d - 1) k,)
+        How far the free track points lie from the undeflected needle, negated, m.
+    elastic : ndarray, shape (n,)
+        Presliding that would be without forces, m.
+    reach : float
+        How far the tip would be beyond the end of the track without forces, m.
+    bound : ndarray, shape (n,)
+        Friction limits, N.
+    tip_bound : float
+        Limit of the tip force, N.
+    rigidity : float
+        E I of the needle, N m^2.
+    tolerance : float
+        Relative tolerance of the conditions.
+    """
+
+    pose: BasePose
+    between: Vector
+    arclength: Vector
+    softness: Vector
+    presliding: Vector
+    share: Vector
+    tip_softness: float
+    aside: Vector
+    elastic: Vector
+    reach: float
+    bound: Vector
+    tip_bound: float
+    rigidity: float
+    tolerance: float
+
+    def solve(self, status: NDArray[np.int8]) -> TrackForces:
+        """Solve, starting from a guess of the bounds that hold: friction, and last the tip."""
+        if status.all():
+            found = self._all_sliding(status)
+            if found is not None:
+                return found
+        return self._bounded(status)
+
+    def _all_sliding(self, status: NDArray[np.int8]) -> TrackForces | None:
+        """Solve with friction and tip at the guessed bounds; None if they do not hold."""
+        pose, k = self.pose, len(self.arclength)
+        m = len(pose.lateral)
+        friction = self.bound * status[:-1]
+        tip = self.tip_bound if status[-1] > 0 else 0.0
+        forces = np.multiply.outer(friction + tip * self.share, pose.axial)
+        pushed = (self.between @ forces.ravel()).reshape(forces.shape)
+        right = self.aside - (pushed[:k] @ pose.lateral.T).T.ravel()
+        s = self.arclength
+        # a^2 (3 b - a) / 6EI below the diagonal: all that the factorisation reads
+        squared = s * s
+        bend = np.multiply.outer(s, squared * (0.5 / self.rigidity))
+        bend -= squared * s * (1.0 / (6.0 * self.rigidity))
+        bend.reshape(-1)[:: k + 1] += self.softness
+        if m == 1:
+            matrix = self._component(pose.lateral[0], pose.lateral[0], k, k)
+            matrix += bend
+        else:
+            matrix = np.empty((m * k, m * k))
+            for a in range(m):
+                rows = slice(a * k, (a + 1) * k)
+                for b in range(a + 1):
+                    part = self._component(pose.lateral[a], pose.lateral[b], k, k)
+                    matrix[rows, b * k : (b + 1) * k] = part
+                matrix[rows, rows] += bend
+        # row-major lower is column-major upper
+        factor, info = lapack.dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+        if info != 0:
+            raise SolverError("the lateral compliance is not positive definite")
+        lateral, _ = lapack.dpotrs(factor, right, lower=0)
+        forces[:k] += lateral.reshape(m, k).T @ pose.lateral
+        moved = (self.between @ forces.ravel()).reshape(forces.shape) @ pose.axial
+        slack = self.presliding * friction + moved - self.elastic
+        overlap = self.reach - float(self.share @ moved) - self.tip_softness * tip
+        scale = max(float(np.abs(self.elastic).max()), abs(self.reach))
+        allowed = self.tolerance * scale
+        if float((slack * status[:-1]).max()) > allowed or overlap * status[-1] < -allowed:
+            return None
+        return TrackForces(lateral, friction, tip, forces, status, overlap, 0.0, 1)
+
+    def _component(self, u: Vector, v: Vector, rows: int, columns: int) -> Vector:
+        """Return the compliance along u of the first rows per force along v, a fresh array."""
+        d = len(u)
+        total = None
+        for a in np.flatnonzero(u):
+            for b in np.flatnonzero(v):
+                part = self.between[a : d * rows : d, b : d * columns : d] * (u[a] * v[b])
+                total = part if total is None else total + part
+        assert total is not None
+        return np.asarray(total)
+
+    def _bounded(self, status: NDArray[np.int8]) -> TrackForces:
+        """Solve the bounded problem in full."""
+        pose, k, n = self.pose, len(self.arclength), len(self.bound)
+        m = len(pose.lateral)
+        wide = m * k
+        size = wide + n + 1
+        matrix = np.empty((size, size))
+        bend = beam.flexibility(self.arclength, self.arclength, self.rigidity)
+        bend.reshape(-1)[:: k + 1] += self.softness
+        axial = self._component(pose.axial, pose.axial, n, n)
+        pressed = axial @ self.share
+        for a in range(m):
+            rows = slice(a * k, (a + 1) * k)
+            for b in range(m):
+                part = self._component(pose.lateral[a], pose.lateral[b], k, k)
+                matrix[rows, b * k : (b + 1) * k] = part
+            matrix[rows, rows] += bend
+            mixed = self._component(pose.lateral[a], pose.axial, k, n)
+            matrix[rows, wide:-1] = mixed
+            matrix[wide:-1, rows] = mixed.T
+            matrix[rows, -1] = matrix[-1, rows] = mixed @ self.share
+        matrix[wide:-1, wide:-1] = axial
+        matrix.reshape(-1)[wide * (size + 1) : -1 : size + 1] += self.presliding
+        matrix[wide:-1, -1] = matrix[-1, wide:-1] = pressed
+        matrix[-1, -1] = self.share @ pressed + self.tip_softness
+        right = np.concatenate([self.aside, self.elastic, [self.reach]])
+        free = np.full(wide, np.inf)
+        low = np.concatenate([-free, -self.bound, [0.0]])
+        high = np.concatenate([free, self.bound, [self.tip_bound]])
+        guess = np.concatenate([np.zeros(wide, dtype=np.int8), status])
+        found = solve_contact(matrix, right, low, high, guess, self.tolerance)
+        state = found.status[wide:]
+        loose = found.gradient[found.status == 0]
+        scale = max(float(np.abs(right).max()), 1e-300)
+        overlap = -float(found.gradient[-1]) if state[-1] != 0 else 0.0
+        lateral, friction, tip = found.x[:wide], found.x[wide:-1], float(found.x[-1])
+        forces = np.multiply.outer(friction + tip * self.share, pose.axial)
+        forces[:k] += lateral.reshape(m, k).T @ pose.lateral
+        return TrackForces(
+            lateral,
+            friction,
+            tip,
+            forces,
+            state,
+            overlap,
+            float(np.abs(loose).max(initial=0.0)) / scale,
+            found.iterations,
+        )
