@@ -142,7 +142,7 @@ class Simulator:
                 share = part / parts
                 place = state.position + share * (position - state.position)
                 orientation = multiply(from_rotation_vector(share * turning), state.orientation)
-            if turning.any():
+            if quaternion is not state.orientation:
                 after = BasePose.of(place, orientation, self.scene.dimension)
             else:
                 after = pose.moved_to(place)
@@ -206,34 +206,37 @@ class Simulator:
             turning = dt * command.angular_velocity
             quaternion = multiply(from_rotation_vector(turning), quaternion)
             quaternion = quaternion / np.linalg.norm(quaternion)
-        if not np.isfinite(position).all():
+        if not math.isfinite(position.sum()):
             raise CommandError("the command takes the base to a place that is not finite")
-        if not turning.any():
+        if quaternion is not state.orientation and not turning.any():
             quaternion = state.orientation
         self._admissible(state, position, quaternion)
         return position, quaternion, turning
 
     def _admissible(self, state: Snapshot, position: Vector, quaternion: Vector) -> None:
         scene = self.scene
-        if scene.dimension == 2:
-            x, y, z, w = quaternion
-            # base y must stay normal to the plane
-            sideways = abs(2 * (x * y + z * w)), abs(2 * (y * z - x * w))
-            if abs(position[1]) > 1e-9 or max(sideways) > 1e-6:
-                raise CommandError("a 2D scene moves in the plane y = 0 and turns about y only")
-        down = -(1 - 2 * (quaternion[0] ** 2 + quaternion[1] ** 2))
+        if scene.dimension == 2 and abs(position[1]) > 1e-9:
+            raise CommandError(f"a 2D scene moves in the plane y = 0, not to y = {position[1]:g} m")
+        turned = quaternion is not state.orientation
         touching = state.contact.touching or state.contact.inserted
-        if touching and down < _STEEPEST:
-            raise CommandError("the needle would turn out of the tissue, over 80 deg from -z")
-        if touching and position[2] <= 0:
+        if turned:
+            x, y, z, w = quaternion.tolist()
+            # base y must stay normal to the plane
+            if scene.dimension == 2 and max(abs(x * y + z * w), abs(y * z - x * w)) > 5e-7:
+                raise CommandError("a 2D scene turns about y only")
+            if touching and 2 * (x * x + y * y) - 1 < _STEEPEST:
+                raise CommandError("the needle would turn out of the tissue, over 80 deg from -z")
+        if not touching:
+            return
+        if position[2] <= 0:
             raise CommandError(f"the base would enter the tissue, at z = {position[2]:g} m")
-        if touching and state.contact.track is not None:
+        if state.contact.track is not None:
             pose = (
-                state.pose.moved_to(position)
-                if quaternion is state.orientation
-                else BasePose.of(position, quaternion, scene.dimension)
+                BasePose.of(position, quaternion, scene.dimension)
+                if turned
+                else state.pose.moved_to(position)
             )
-            aside = np.abs(pose.aside(state.contact.track.points[0])).max()
+            aside = abs(pose.aside(state.contact.track.points[0])).max()
             if aside > scene.needle.length / 2:
                 raise CommandError(
                     f"the base would be {aside:g} m beside the entry, more than half the needle"
@@ -246,8 +249,8 @@ class Simulator:
             state.position[2]
         ):
             return 1
-        advance = float(np.linalg.norm(position - state.position))
-        angle = float(np.linalg.norm(turning))
+        advance = math.dist(position, state.position)
+        angle = math.hypot(*turning)
         spacing = self.scene.solver.track_spacing
         return max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / 0.05))
 

@@ -75,7 +75,9 @@ class BalanceSolution:
 
     def fields(self) -> dict[str, Any]:
         """Return what goes into the state."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("overlap", "slope")}
+        fields = self.__dict__.copy()
+        del fields["overlap"], fields["slope"]
+        return fields
 
 
 class Balance:
@@ -203,13 +205,16 @@ class Balance:
         found = problem.solve(_guess(status, n))
 
         lateral = found.lateral.reshape(m, held)
-        after = free + track.table.displacement(found.forces)
         forces = found.forces
         if n < track.count:
             forces = np.zeros_like(track.points)
             forces[:n] = found.forces
+            after = free + track.table.displacement(found.forces)
+        else:
+            after = free + found.moved
         new_strain = problem.presliding * found.friction
-        slid = problem.elastic - (after[:n] - free[:n]) @ pose.axial - new_strain
+        slid = problem.elastic - found.moved @ pose.axial
+        slid -= new_strain
         return BalanceSolution(
             active=n,
             lateral=lateral,
@@ -235,8 +240,9 @@ class Balance:
         sideways not at all, and wholly one bevel length behind. The density of the
         lateral force then has no peak at the tip that only the track spacing bounds.
         """
-        grip = self._grip * track.spacing
-        return np.maximum(bevel / behind - 1.0, 0.0) / grip
+        soft = (bevel / (self._grip * track.spacing)) / behind
+        soft -= 1.0 / (self._grip * track.spacing)
+        return np.maximum(soft, 0.0, out=soft)
 
 
 def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Vector:
@@ -261,10 +267,12 @@ def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Ve
 
 
 def _fitted(values: Vector, n: int) -> Vector:
-    """Cut or extend with zeros to n entries: points that the tip has not passed know nothing."""
+    """Cut or extend to n entries: the needle slides by a new point as by the last one."""
     if len(values) >= n:
         return values[:n]
-    return np.concatenate([values, np.zeros(n - len(values))])
+    wider = np.full(n, values[-1] if len(values) else 0.0)
+    wider[: len(values)] = values
+    return wider
 
 
 def _guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:

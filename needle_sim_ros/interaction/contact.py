@@ -201,7 +201,7 @@ class Contact:
         if engaged and heading > 0:
             depth = front = front + _FORESIGHT * rate * advance
         elif not engaged:
-            depth = float(np.clip(depth + rate * advance, 0.0, front))
+            depth = min(max(depth + rate * advance, 0.0), front)
         track, moved, forces = state.track, state.moved, state.forces
         strain, slip = state.strain, state.slip
         solves = 0
@@ -212,7 +212,7 @@ class Contact:
                 slope = self._balance.slope(state) if slope is None else slope
                 direction = self._heading(step, track, slope, forces, depth)
                 track = self._extended(track, direction)
-            moved = _known(moved, track, step)
+            moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
             solution = self._balance.inserted(
                 track, step, moved, strain, slip, state.status, depth, limit
@@ -229,7 +229,7 @@ class Contact:
                     depth, engaged = front + max(change, -track.spacing), False
             else:
                 settled = abs(change) <= _SETTLED * track.spacing and depth + change < front
-                depth += float(np.clip(change, -track.spacing, track.spacing))
+                depth += min(max(change, -track.spacing), track.spacing)
                 if depth >= front:
                     depth, engaged = front, True
             if depth <= 0 and heading <= 0:
@@ -243,16 +243,16 @@ class Contact:
                 f"the needle's whole length, {self._scene.needle.length:g} m, would be inserted"
             )
         went = (depth - state.depth) / advance if heading else 0.0
-        return replace(
-            state,
-            **{**solution.fields(), "solves": solves},
+        fields = solution.fields()
+        fields["solves"] = solves
+        return ContactState(
             track=track,
-            touching=False,
             inserted=True,
             depth=depth,
             front=front,
-            rate=float(np.clip(went, 0.0, 1.0)),
+            rate=min(max(went, 0.0), 1.0),
             heading=heading,
+            **fields,
         )
 
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
@@ -307,11 +307,11 @@ class Contact:
         return np.asarray(material / np.linalg.norm(material))
 
 
-def _known(moved: Vector, track: Track, step: Step) -> Vector:
-    """Give points laid within the step the displacement they have without forces."""
-    if len(moved) == track.count:
+def _known(moved: Vector, forces: Vector, track: Track, step: Step) -> Vector:
+    """Give points laid within the step the displacement that the forces so far give them."""
+    known = len(moved)
+    if known == track.count:
         return moved
-    wider = step.free(track.table).copy()
-    wider[: len(moved)] = moved
+    wider = step.free(track.table) + track.table.displacement(forces)
+    wider[:known] = moved
     return wider
-

@@ -74,8 +74,12 @@ class Laws:
 
         Static friction falls to kinetic over the weakening distance (segments DE, FG).
         """
-        left = np.clip(1.0 - slip / self.interaction.friction.weakening_distance, 0.0, 1.0)
-        return np.asarray(kinetic + (static - kinetic) * left)
+        left = slip * (-1.0 / self.interaction.friction.weakening_distance)
+        left += 1.0
+        np.maximum(left, 0.0, out=left)
+        left *= static - kinetic
+        left += kinetic
+        return left
 
     def opening(self, local: LocalLaws, depth: float, bevel: float) -> float:
         """Return how much more than the cutting force the tip bears just after puncture, N.

@@ -22,14 +22,14 @@ class BasePose:
         Unit vector along the undeflected needle.
     lateral : ndarray, shape (d - 1, d)
         Unit vectors of deflection: base x, and base y in 3D.
-    signs : ndarray, shape (d,), or None
-        Where the axes are those of the mesh, up to these signs: lateral ones, then axial.
+    terms : tuple of lists of (int, float)
+        The components of each axis that are not zero: lateral ones, then axial.
     """
 
     origin: Vector
     axial: Vector
     lateral: Vector
-    signs: Vector | None
+    terms: tuple[list[tuple[int, float]], ...]
 
     @classmethod
     def of(cls, position: Vector, quaternion: Vector, dimension: int) -> BasePose:
@@ -37,16 +37,15 @@ class BasePose:
         kept = [0, 2] if dimension == 2 else [0, 1, 2]
         rotation = rotation_matrix(quaternion)[kept]
         axial, lateral = rotation[:, 2].copy(), rotation[:, : dimension - 1].T.copy()
-        axes = np.vstack([lateral, axial])
-        aligned = np.array_equal(np.abs(axes), np.eye(dimension))
-        return cls(
-            np.asarray(position)[kept], axial, lateral, axes.diagonal().copy() if aligned else None
+        terms = tuple(
+            [(i, float(c)) for i, c in enumerate(axis) if c != 0.0] for axis in (*lateral, axial)
         )
+        return cls(np.asarray(position)[kept], axial, lateral, terms)
 
     def moved_to(self, position: Vector) -> BasePose:
         """Return the pose with the clamp at another world position (3,)."""
         origin = position if len(self.axial) == 3 else position[[0, 2]]
-        return BasePose(origin, self.axial, self.lateral, self.signs)
+        return BasePose(origin, self.axial, self.lateral, self.terms)
 
     def along(self, point: Vector) -> Vector:
         """Return the axial coordinate of points (..., d), m from the clamp."""

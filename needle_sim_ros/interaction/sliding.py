@@ -29,6 +29,8 @@ class TrackForces:
     ----------
     forces : ndarray, shape (n, d)
         All forces on the tissue, mesh coordinates, N.
+    moved : ndarray, shape (n, d)
+        Displacement by these forces, m.
     overlap : float
         How far the tip wants beyond the end of the track, m; 0 where its force is free.
     residual : float
@@ -39,6 +41,7 @@ class TrackForces:
     friction: Vector
     tip: float
     forces: Vector
+    moved: Vector
     status: NDArray[np.int8]
     overlap: float
     residual: float
@@ -121,14 +124,14 @@ class SlidingProblem:
         bend -= squared * s * (1.0 / (6.0 * self.rigidity))
         bend.reshape(-1)[:: k + 1] += self.softness
         if m == 1:
-            matrix = self._component(pose.lateral[0], pose.lateral[0], k, k)
+            matrix = self._component(0, 0, k, k)
             matrix += bend
         else:
             matrix = np.empty((m * k, m * k))
             for a in range(m):
                 rows = slice(a * k, (a + 1) * k)
                 for b in range(a + 1):
-                    part = self._component(pose.lateral[a], pose.lateral[b], k, k)
+                    part = self._component(a, b, k, k)
                     matrix[rows, b * k : (b + 1) * k] = part
                 matrix[rows, rows] += bend
         # row-major lower is column-major upper
@@ -137,22 +140,25 @@ class SlidingProblem:
             raise SolverError("the lateral compliance is not positive definite")
         lateral, _ = lapack.dpotrs(factor, right, lower=0)
         forces[:k] += lateral.reshape(m, k).T @ pose.lateral
-        moved = (self.between @ forces.ravel()).reshape(forces.shape) @ pose.axial
-        slack = self.presliding * friction + moved - self.elastic
-        overlap = self.reach - float(self.share @ moved) - self.tip_softness * tip
-        scale = max(float(np.abs(self.elastic).max()), abs(self.reach))
-        allowed = self.tolerance * scale
-        if float((slack * status[:-1]).max()) > allowed or overlap * status[-1] < -allowed:
+        moved = (self.between @ forces.ravel()).reshape(forces.shape)
+        along = moved @ pose.axial
+        slack = self.presliding * friction
+        slack += along
+        slack -= self.elastic
+        slack *= status[:-1]
+        overlap = self.reach - float(self.share @ along) - self.tip_softness * tip
+        allowed = self.tolerance * max(float(self.elastic.max()), abs(self.reach))
+        if float(slack.max()) > allowed or overlap * int(status[-1]) < -allowed:
             return None
-        return TrackForces(lateral, friction, tip, forces, status, overlap, 0.0, 1)
+        return TrackForces(lateral, friction, tip, forces, moved, status, overlap, 0.0, 1)
 
-    def _component(self, u: Vector, v: Vector, rows: int, columns: int) -> Vector:
-        """Return the compliance along u of the first rows per force along v, a fresh array."""
-        d = len(u)
-        total = None
-        for a in np.flatnonzero(u):
-            for b in np.flatnonzero(v):
-                part = self.between[a : d * rows : d, b : d * columns : d] * (u[a] * v[b])
+    def _component(self, u: int, v: int, rows: int, columns: int) -> Vector:
+        """Return the compliance along axis u of the first rows per force along axis v."""
+        terms, total = self.pose.terms, None
+        d = len(terms)
+        for a, x in terms[u]:
+            for b, y in terms[v]:
+                part = self.between[a : d * rows : d, b : d * columns : d] * (x * y)
                 total = part if total is None else total + part
         assert total is not None
         return np.asarray(total)
@@ -166,15 +172,15 @@ class SlidingProblem:
         matrix = np.empty((size, size))
         bend = beam.flexibility(self.arclength, self.arclength, self.rigidity)
         bend.reshape(-1)[:: k + 1] += self.softness
-        axial = self._component(pose.axial, pose.axial, n, n)
+        axial = self._component(m, m, n, n)
         pressed = axial @ self.share
         for a in range(m):
             rows = slice(a * k, (a + 1) * k)
             for b in range(m):
-                part = self._component(pose.lateral[a], pose.lateral[b], k, k)
+                part = self._component(a, b, k, k)
                 matrix[rows, b * k : (b + 1) * k] = part
             matrix[rows, rows] += bend
-            mixed = self._component(pose.lateral[a], pose.axial, k, n)
+            mixed = self._component(a, m, k, n)
             matrix[rows, wide:-1] = mixed
             matrix[wide:-1, rows] = mixed.T
             matrix[rows, -1] = matrix[-1, rows] = mixed @ self.share
@@ -200,6 +206,7 @@ class SlidingProblem:
             friction,
             tip,
             forces,
+            (self.between @ forces.ravel()).reshape(forces.shape),
             state,
             overlap,
             float(np.abs(loose).max(initial=0.0)) / scale,

@@ -79,9 +79,11 @@ class Track:
         return self._between(depth)[1]
 
     def _between(self, depth: float) -> tuple[Vector, Vector]:
-        segment = int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
-        along = (self.points[segment + 1] - self.points[segment]) / self.spacing
-        return self.points[segment] + (depth - segment * self.spacing) * along, along
+        points = self.points
+        segment = int(min(max(depth / self.spacing, 0.0), len(points) - 1.000001))
+        start = points[segment]
+        along = (points[segment + 1] - start) / self.spacing
+        return start + (depth - segment * self.spacing) * along, along
 
 
 class TrackLayer:
