@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's recordings: what is published is in the bag, and nothing ends the recording."""
 
-import json
 import resource
 import signal
 
@@ -135,7 +134,7 @@ def test_the_bag_holds_exactly_what_was_published(cell, tmp_path):
     wrench = deserialize_message(bag["/base_wrench"][5][1], WrenchStamped)
     assert bag["/base_wrench"][5][0] == wrench.header.stamp.nanosec == 60_000_000
 
-    decoded = {topic: 0 for topic in bag}
+    decoded = dict.fromkeys(bag, 0)
     with mcap_file(folder).open("rb") as stream:
         reader = make_reader(stream, True, [DecoderFactory()])
         assert reader.get_header().profile == "ros2"
@@ -234,7 +233,7 @@ def test_signals_finish_the_recording_and_exit_0(node_process, tmp_path, number)
     folder = node.session()
     status, took = node.end(number)
     assert status == 0, node.output()
-    assert took < 10
+    assert took < 5
     session = read_session(folder)
     assert session.complete
     with Reader(folder) as reader:
@@ -243,18 +242,20 @@ def test_signals_finish_the_recording_and_exit_0(node_process, tmp_path, number)
     assert "Traceback" not in node.output()
 
 
-def test_after_kill_9_all_but_the_last_half_second_is_there(node_process, tmp_path):
+def test_after_kill_9_all_but_the_last_half_second_is_there(cell, node_process, tmp_path):
     node = node_process(f"record:={tmp_path}")
     node.until_running()
     folder = node.session()
-    size = mcap_file(folder).stat().st_size
-    node.until(lambda: mcap_file(folder).stat().st_size > size + 100_000)
+    heard = cell.collect(WrenchStamped, "/base_wrench")
+    node.until(lambda: len(heard) > 100)
     node.end(signal.SIGKILL)
     before = mcap_file(folder).read_bytes()
     session = read_session(folder)
     assert not session.complete
-    assert len(session.series) == len(session.motions) > 50
+    assert len(session.series) == len(session.motions)
     np.testing.assert_allclose(np.diff(session.series.time), DT, atol=1e-9)
+    last = heard[-1].header.stamp
+    assert last.sec + last.nanosec * 1e-9 - session.series.time[-1] < 0.5
     assert mcap_file(folder).read_bytes() == before
 
 
