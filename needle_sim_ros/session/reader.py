@@ -189,8 +189,9 @@ def _records(file: Path) -> Iterator[McapRecord | _Decoded]:
                     decoders[record.id] = (record.topic, decoder)
                 elif isinstance(record, Message):
                     topic, decode = decoders[record.channel_id]
-                    if decode is not None:
-                        yield _Decoded(topic, record.log_time, decode(record.data))
+                    value = _decoded(decode, record.data)
+                    if value is not None:
+                        yield _Decoded(topic, record.log_time, value)
                 elif isinstance(record, Footer):
                     footer = record
                 else:
@@ -200,6 +201,14 @@ def _records(file: Path) -> Iterator[McapRecord | _Decoded]:
     # Only now is it known that the file ends as it should.
     if footer is not None:
         yield footer
+
+
+def _decoded(decode: Callable[[bytes], Any] | None, data: bytes) -> Any:
+    """Return a message, or None for what is none: others may have sent anything."""
+    try:
+        return None if decode is None else decode(data)
+    except Exception:
+        return None
 
 
 def _time(entry: tuple[Any, ...]) -> int:

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2
@@ -189,6 +189,29 @@ def test_a_recording_that_starts_late_knows_what_came_before(cell, tmp_path):
     assert [count for _, count in session.before] == [15]
     assert len(session.series) == 10
     assert_same(session.series, replayed(session))
+
+
+def test_bytes_that_are_no_message_end_neither_node_nor_session(cell, tmp_path):
+    cell.start(record=str(tmp_path))
+    publisher = cell.publisher(PoseStamped, "/base_pose")
+    good = serialize_message(pose(0.13))
+    wrong_text = good[:16] + b"\xff\xfe\xfd\xfc" + good[20:]
+    too_long = good[:12] + b"\xff\xff\xff\xff" + good[16:]
+    for data in (b"", b"garbage", good[:20], too_long, wrong_text, good + bytes(5000)):
+        cell.send(publisher, data)
+        cell.step()
+    assert cell.sim.plant.commands.rejected["unreadable"] == 4
+    assert cell.sim.plant.commands.rejected["frame is not tissue"] == 1
+    folder, status = cell.sim.plant.stop_recording()
+    assert status.lost == 0
+    session = read_session(folder)
+    assert session.complete and len(session.series) == 6
+    assert [message.header.frame_id for _, _, message in session.inputs][1] == "tissue"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(folder) as reader:
+        for connection, _, data in reader.messages():
+            store.deserialize_cdr(data, connection.msgtype)
+            assert connection.topic != "/base_pose" or len(data) < 200
 
 
 def test_log_time_never_goes_back_over_resets_and_events_say_what_happened(cell, tmp_path):
