@@ -106,6 +106,10 @@ class StageCommands:
         self._take(Motion("velocity", tuple(linear), tuple(angular)), now)
         return None
 
+    def unreadable(self) -> str:
+        """Count bytes that are no message; return why they were refused."""
+        return self._refuse("unreadable")
+
     def refuse_current(self, reason: str) -> None:
         """Forget the command in force: the simulator refused it."""
         self.rejected[reason] += 1

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import signal
 import sys
 import threading
@@ -19,6 +21,9 @@ def main(args: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    # Threads of the linear algebra library cost more than they bring at these sizes, and
+    # hold up ticks by milliseconds; it reads this when numpy is first imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import rclpy  # after the handlers: a signal during this import ends the node cleanly too
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
@@ -58,6 +63,9 @@ def _run(stop: threading.Event) -> int:
             logger.fatal(f"the executor ended: {error!r}")
             failed(error)
 
+    # What exists now stays: a full garbage collection need not look through it each time.
+    gc.collect()
+    gc.freeze()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spinning = threading.Thread(target=spin, name="executor", daemon=True)

@@ -120,19 +120,10 @@ class Plant:
         session = self._session
         return self._ended if session is None else session.status
 
-    def receive_pose(
-        self, data: bytes, position: Numbers, orientation: Numbers, frame: str
-    ) -> str | None:
-        """Take a base pose; `data` is recorded as it is. Return why refused, or None."""
-        self.record(channels.BASE_POSE, data)
-        return self.commands.pose(position, orientation, frame, self.time, self._position)
-
-    def receive_velocity(
-        self, data: bytes, linear: Numbers, angular: Numbers, frame: str
-    ) -> str | None:
-        """Take a stage velocity; `data` is recorded as it is. Return why refused, or None."""
-        self.record(channels.STAGE_VELOCITY, data)
-        return self.commands.velocity(linear, angular, frame, self.time)
+    @property
+    def position(self) -> Numbers:
+        """Where the base is, tissue frame, m."""
+        return self._position
 
     def tick(self) -> None:
         """Advance by one period."""

@@ -31,6 +31,7 @@ from needle_sim_ros.session.channels import Channel
 _RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DIAGNOSTICS_PERIOD = 1.0  # s
+_LARGEST_COMMAND = 1024  # bytes; a pose with a long frame id has some hundred
 _CLOCK_POLL = 1e-3  # s, how often a clock from outside is looked at
 
 
@@ -141,24 +142,43 @@ class SimNode(Node):
             self.create_subscription(message, channel.name, take, _BEST_EFFORT, raw=True)
 
     def _take_pose(self, data: bytes) -> None:
-        message = deserialize_message(data, PoseStamped)
-        p, q = message.pose.position, message.pose.orientation
-        reason = self.plant.receive_pose(
-            data, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), message.header.frame_id
-        )
-        self._warn_rejected("base_pose", reason)
+        message = self._read(data, PoseStamped, channels.BASE_POSE)
+        if message is not None:
+            p, q = message.pose.position, message.pose.orientation
+            reason = self.plant.commands.pose(
+                (p.x, p.y, p.z),
+                (q.x, q.y, q.z, q.w),
+                message.header.frame_id,
+                self.plant.time,
+                self.plant.position,
+            )
+            self._warn_rejected(channels.BASE_POSE, reason)
 
     def _take_velocity(self, data: bytes) -> None:
-        message = deserialize_message(data, TwistStamped)
-        v, w = message.twist.linear, message.twist.angular
-        reason = self.plant.receive_velocity(
-            data, (v.x, v.y, v.z), (w.x, w.y, w.z), message.header.frame_id
-        )
-        self._warn_rejected("stage_velocity", reason)
+        message = self._read(data, TwistStamped, channels.STAGE_VELOCITY)
+        if message is not None:
+            v, w = message.twist.linear, message.twist.angular
+            reason = self.plant.commands.velocity(
+                (v.x, v.y, v.z), (w.x, w.y, w.z), message.header.frame_id, self.plant.time
+            )
+            self._warn_rejected(channels.STAGE_VELOCITY, reason)
 
-    def _warn_rejected(self, topic: str, reason: str | None) -> None:
+    def _read(self, data: bytes, kind: Any, channel: Channel) -> Any:
+        """Return the message, recorded as it came, or None for bytes that are none."""
+        try:
+            message = deserialize_message(data, kind)
+        except Exception:
+            self._warn_rejected(channel, self.plant.commands.unreadable())
+            return None
+        if len(data) > _LARGEST_COMMAND or "\ufffd" in message.header.frame_id:
+            # Text that is no UTF-8, or slack after the message, would end other readers.
+            data = serialize_message(message)
+        self.plant.record(channel, data)
+        return message
+
+    def _warn_rejected(self, channel: Channel, reason: str | None) -> None:
         if reason is not None:
-            self._warn(f"command on {topic} ignored: {reason}")
+            self._warn(f"command on {channel.name} ignored: {reason}")
 
     def _warn(self, message: str) -> None:
         count = self.plant.commands.rejected_count

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import json
+from array import array
+from collections.abc import Iterator
 
 from needle_sim_ros.session.motion import Motion
 
 _LIMIT = 50_000
+_ROW = 9  # is a pose, number of ticks, up to seven numbers
 
 
 class History:
@@ -16,7 +19,8 @@ class History:
     Parameters
     ----------
     limit : int
-        Runs that are kept; a history that has more is given up, and says so.
+        Runs that are kept, at 72 bytes each; a history that has more is given up, and
+        says so.
     """
 
     def __init__(self, limit: int = _LIMIT) -> None:
@@ -25,7 +29,7 @@ class History:
 
     def clear(self) -> None:
         """Forget everything: the simulation is at its start again."""
-        self._runs: list[tuple[Motion, int]] = []
+        self._rows = array("d")
         self._last: Motion | None = None
         self._count = 0
         self.ticks = 0
@@ -37,8 +41,25 @@ class History:
         if motion is self._last or motion == self._last:
             self._count += 1
             return
-        self._close()
+        if self._last is not None and self.complete:
+            values = self._last.values()
+            self._rows.extend((self._last.kind == "pose", self._count, *values))
+            self._rows.extend((0.0,) * (_ROW - 2 - len(values)))
+            if len(self._rows) >= self._limit * _ROW:
+                self.complete = False
+                self._rows = array("d")
         self._last, self._count = motion, 1
+
+    def runs(self) -> Iterator[tuple[Motion, int]]:
+        """Yield motions and for how many ticks each was applied."""
+        for start in range(0, len(self._rows), _ROW):
+            is_pose, count, *values = self._rows[start : start + _ROW]
+            if is_pose:
+                yield Motion.from_values("pose", values), int(count)
+            else:
+                yield Motion.from_values("velocity", values[:6]), int(count)
+        if self._last is not None:
+            yield self._last, self._count
 
     def to_json(self) -> str:
         """Return ``[[kind, ticks, [numbers]], ...]``, or ``null`` when it was given up.
@@ -47,16 +68,7 @@ class History:
         """
         if not self.complete:
             return "null"
-        last = [(self._last, self._count)] if self._last is not None else []
-        runs = [*self._runs, *last]
-        return json.dumps([[motion.kind, count, motion.values()] for motion, count in runs])
-
-    def _close(self) -> None:
-        if self._last is not None and self.complete:
-            self._runs.append((self._last, self._count))
-            if len(self._runs) >= self._limit:
-                self.complete = False
-                self._runs = []
+        return json.dumps([[motion.kind, n, motion.values()] for motion, n in self.runs()])
 
 
 def motions_from_json(text: str) -> list[tuple[Motion, int]] | None:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import zstandard
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -26,21 +26,18 @@ from mcap.records import (
     Channel,
     Chunk,
     ChunkIndex,
-    DataEnd,
-    Footer,
     Header,
     McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 
 from needle_sim_ros.errors import SessionError
+from needle_sim_ros.session.mcap_records import MAGIC, ending, message_index, record_bytes
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")
 _TIMES = struct.Struct("<QQ")
 _MESSAGE_FIXED, _INDEX_FIXED = 22, 6
@@ -85,7 +82,7 @@ class McapFile:
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         try:
-            self._append(MAGIC + _bytes(Header("ros2", library)))
+            self._append(MAGIC + record_bytes(Header("ros2", library)))
         except OSError:
             self._file.close()
             path.unlink()
@@ -143,7 +140,7 @@ class McapFile:
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment; only before the first message."""
         self._before_messages()
-        record = _bytes(Attachment(0, 0, name, media_type, data))
+        record = record_bytes(Attachment(0, 0, name, media_type, data))
         index = AttachmentIndex(self._end, len(record), 0, 0, len(data), name, media_type)
         self._append(record)
         self._attachments.append(index)
@@ -151,7 +148,7 @@ class McapFile:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record; only before the first message."""
         self._before_messages()
-        record = _bytes(Metadata(name, dict(values)))
+        record = record_bytes(Metadata(name, dict(values)))
         index = MetadataIndex(self._end, len(record), name)
         self._append(record)
         self._metadata.append(index)
@@ -166,7 +163,7 @@ class McapFile:
         """
         if not entries:
             return
-        definitions = b"".join(map(_bytes, self._undefined))
+        definitions = b"".join(map(record_bytes, self._undefined))
         parts, offset = [definitions], len(definitions)
         indexes: dict[int, list[tuple[int, int]]] = {}
         pack = _MESSAGE.pack
@@ -179,7 +176,7 @@ class McapFile:
         stored = raw if self._compress is None else self._compress(raw)
         times = [entry[2] for entry in entries]
         compression = "" if self._compress is None else "zstd"
-        chunk = _bytes(
+        chunk = record_bytes(
             Chunk(
                 compression=compression,
                 data=stored,
@@ -193,7 +190,7 @@ class McapFile:
         position = self._end + len(chunk)
         for channel, records in indexes.items():
             offsets[channel] = position
-            tail.append(_message_index(channel, records))
+            tail.append(message_index(channel, records))
             position += len(tail[-1])
         index = ChunkIndex(
             chunk_length=len(chunk),
@@ -210,7 +207,7 @@ class McapFile:
         if self._undefined:
             self._defined_in[len(self._chunks)] = self._undefined
             self._undefined = []
-        self._chunks.append(_bytes(index))
+        self._chunks.append(record_bytes(index))
         for channel, records in indexes.items():
             self._counts[channel] += len(records)
 
@@ -263,10 +260,8 @@ class McapFile:
         self._file.close()
 
     def _closing(self, name: str, values: Mapping[str, str]) -> bytes:
-        closing = _bytes(Metadata(name, dict(values)))
+        closing = record_bytes(Metadata(name, dict(values)))
         metadata = [*self._metadata, MetadataIndex(self._end, len(closing), name)]
-        data_end = closing + _bytes(DataEnd(0))
-        start = self._end + len(data_end)
         first, last = self.time_range
         counts = {channel: n for channel, n in self._counts.items() if n}
         statistics = Statistics(
@@ -281,24 +276,14 @@ class McapFile:
             schema_count=len(self._schemas),
         )
         groups = [
-            (Opcode.SCHEMA, map(_bytes, self._schemas.values())),
-            (Opcode.CHANNEL, map(_bytes, self._channels.values())),
-            (Opcode.STATISTICS, [_bytes(statistics)]),
+            (Opcode.SCHEMA, map(record_bytes, self._schemas.values())),
+            (Opcode.CHANNEL, map(record_bytes, self._channels.values())),
+            (Opcode.STATISTICS, [record_bytes(statistics)]),
             (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, map(_bytes, self._attachments)),
-            (Opcode.METADATA_INDEX, map(_bytes, metadata)),
+            (Opcode.ATTACHMENT_INDEX, map(record_bytes, self._attachments)),
+            (Opcode.METADATA_INDEX, map(record_bytes, metadata)),
         ]
-        summary, offsets = b"", b""
-        for opcode, records in groups:
-            group = b"".join(records)
-            if group:
-                offsets += _bytes(SummaryOffset(opcode, start + len(summary), len(group)))
-            summary += group
-        offset_start = start + len(summary)
-        summary += offsets
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        footer = Footer(start, offset_start, zlib.crc32(summary + head))
-        return data_end + summary + _bytes(footer) + MAGIC
+        return closing + ending(self._end + len(closing), groups)
 
     def _before_messages(self) -> None:
         if self._chunks:
@@ -317,16 +302,3 @@ class McapFile:
     def _cut(self) -> None:
         self._file.truncate(self._end)
         self._file.seek(self._end)
-
-
-def _bytes(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data
-
-
-def _message_index(channel: int, records: Sequence[tuple[int, int]]) -> bytes:
-    flat = [number for record in records for number in record]
-    body = struct.pack(f"<HI{len(flat)}Q", channel, 8 * len(flat), *flat)
-    return struct.pack("<BQ", Opcode.MESSAGE_INDEX, len(body)) + body

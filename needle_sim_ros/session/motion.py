@@ -21,7 +21,7 @@ from needle_sim_ros.command import BaseCommand
 Numbers = tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Motion:
     """A pose to reach at the end of the tick, or a velocity held for it.
 

@@ -7,6 +7,7 @@ import json
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -103,13 +104,13 @@ def read_session(path: str | Path) -> Session:
         When it is no session of this package.
     """
     file = mcap_path(path)
-    attachments: dict[str, str] = {}
+    attachments: dict[str, bytes] = {}
     metadata: dict[str, str] = {}
     topics: dict[str, list[tuple[int, Any]]] = {}
     complete = False
     for record in _records(file):
         if isinstance(record, Attachment):
-            attachments[record.name] = record.data.decode()
+            attachments[record.name] = record.data
         elif isinstance(record, Metadata) and record.name == ABOUT:
             metadata = dict(record.metadata)
         elif isinstance(record, Footer):
@@ -118,11 +119,28 @@ def read_session(path: str | Path) -> Session:
             topics.setdefault(record.topic, []).append((record.time, record.message))
     if SCENE_FILE not in attachments or not metadata:
         raise SessionError(f"{file}: not a session of needle_sim: it holds no scene")
+    try:
+        return _session(file, complete, attachments, metadata, topics)
+    except (KeyError, ValueError) as error:
+        raise SessionError(f"{file} is damaged: {error}") from error
+
+
+def _session(
+    file: Path,
+    complete: bool,
+    attachments: Mapping[str, bytes],
+    metadata: Mapping[str, str],
+    topics: Mapping[str, list[tuple[int, Any]]],
+) -> Session:
+    if sha256(attachments[SCENE_FILE]).hexdigest() != metadata["scene_sha256"]:
+        raise SessionError(f"{file} is damaged: the scene is not the one recorded")
+    scene_text = attachments[SCENE_FILE].decode()
     roles = {
-        channel.role: topics.get(metadata.get(f"topic.{channel.role}", ""), [])
+        channel.role: topics.get(metadata[f"topic.{channel.role}"], [])
         for channel in (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
     }
-    history = attachments.get(HISTORY_FILE, "null" if int(metadata["start_tick"]) else "[]")
+    started_late = int(metadata["start_tick"]) > 0
+    history = attachments.get(HISTORY_FILE, b"null" if started_late else b"[]")
     motions = [(time, _pose(message)) for time, message in roles["applied_pose"]]
     motions += [(time, _velocity(message)) for time, message in roles["applied_velocity"]]
     inputs = [
@@ -133,13 +151,13 @@ def read_session(path: str | Path) -> Session:
     return Session(
         path=file,
         complete=complete,
-        scene_text=attachments[SCENE_FILE],
+        scene_text=scene_text,
         metadata=metadata,
-        before=motions_from_json(history),
+        before=motions_from_json(history.decode()),
         motions=sorted(motions, key=_time),
         events=[(time, json.loads(message.data)) for time, message in roles["events"]],
         inputs=sorted(inputs, key=_time),
-        series=_series(roles, attachments[SCENE_FILE], metadata),
+        series=_series(roles, scene_text, metadata),
     )
 
 
@@ -153,6 +171,7 @@ class _Decoded:
 def _records(file: Path) -> Iterator[McapRecord | _Decoded]:
     """Yield the records of a file, messages decoded, up to where it is cut off."""
     decoders, factory = {}, DecoderFactory()
+    footer: Footer | None = None
     schemas: dict[int, Schema] = {}
     try:
         stream = file.open("rb")
@@ -170,12 +189,26 @@ def _records(file: Path) -> Iterator[McapRecord | _Decoded]:
                     decoders[record.id] = (record.topic, decoder)
                 elif isinstance(record, Message):
                     topic, decode = decoders[record.channel_id]
-                    if decode is not None:
-                        yield _Decoded(topic, record.log_time, decode(record.data))
+                    value = _decoded(decode, record.data)
+                    if value is not None:
+                        yield _Decoded(topic, record.log_time, value)
+                elif isinstance(record, Footer):
+                    footer = record
                 else:
                     yield record
         except _DAMAGE:
             return
+    # Only now is it known that the file ends as it should.
+    if footer is not None:
+        yield footer
+
+
+def _decoded(decode: Callable[[bytes], Any] | None, data: bytes) -> Any:
+    """Return a message, or None for what is none: others may have sent anything."""
+    try:
+        return None if decode is None else decode(data)
+    except Exception:
+        return None
 
 
 def _time(entry: tuple[Any, ...]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,8 +76,10 @@ class SessionWriter:
         self._motion_encoders = channels.motion_encoders(tissue_frame)
         everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
         topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
+        scene_text = scene.to_yaml().encode()
         about = {
             "scene": scene.name,
+            "scene_sha256": sha256(scene_text).hexdigest(),
             "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "tick_period": repr(tick_period),
             "start_tick": str(history.ticks if history else 0),
@@ -88,7 +91,7 @@ class SessionWriter:
         }
         bag = Bag(folder)
         try:
-            bag.file.add_attachment(SCENE_FILE, "application/yaml", scene.to_yaml().encode())
+            bag.file.add_attachment(SCENE_FILE, "application/yaml", scene_text)
             if history is not None and history.ticks:
                 bag.file.add_attachment(
                     HISTORY_FILE, "application/json", history.to_json().encode()

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's recordings: what is published is in the bag, and nothing ends the recording."""
 
-import json
 import resource
 import signal
 
@@ -13,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2
@@ -135,7 +134,7 @@ def test_the_bag_holds_exactly_what_was_published(cell, tmp_path):
     wrench = deserialize_message(bag["/base_wrench"][5][1], WrenchStamped)
     assert bag["/base_wrench"][5][0] == wrench.header.stamp.nanosec == 60_000_000
 
-    decoded = {topic: 0 for topic in bag}
+    decoded = dict.fromkeys(bag, 0)
     with mcap_file(folder).open("rb") as stream:
         reader = make_reader(stream, True, [DecoderFactory()])
         assert reader.get_header().profile == "ros2"
@@ -192,6 +191,29 @@ def test_a_recording_that_starts_late_knows_what_came_before(cell, tmp_path):
     assert_same(session.series, replayed(session))
 
 
+def test_bytes_that_are_no_message_end_neither_node_nor_session(cell, tmp_path):
+    cell.start(record=str(tmp_path))
+    publisher = cell.publisher(PoseStamped, "/base_pose")
+    good = serialize_message(pose(0.13))
+    wrong_text = good[:16] + b"\xff\xfe\xfd\xfc" + good[20:]
+    too_long = good[:12] + b"\xff\xff\xff\xff" + good[16:]
+    for data in (b"", b"garbage", good[:20], too_long, wrong_text, good + bytes(5000)):
+        cell.send(publisher, data)
+        cell.step()
+    assert cell.sim.plant.commands.rejected["unreadable"] == 4
+    assert cell.sim.plant.commands.rejected["frame is not tissue"] == 1
+    folder, status = cell.sim.plant.stop_recording()
+    assert status.lost == 0
+    session = read_session(folder)
+    assert session.complete and len(session.series) == 6
+    assert [message.header.frame_id for _, _, message in session.inputs][1] == "tissue"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(folder) as reader:
+        for connection, _, data in reader.messages():
+            store.deserialize_cdr(data, connection.msgtype)
+            assert connection.topic != "/base_pose" or len(data) < 200
+
+
 def test_log_time_never_goes_back_over_resets_and_events_say_what_happened(cell, tmp_path):
     cell.start(record=str(tmp_path))
     cell.step(3)
@@ -234,7 +256,7 @@ def test_signals_finish_the_recording_and_exit_0(node_process, tmp_path, number)
     folder = node.session()
     status, took = node.end(number)
     assert status == 0, node.output()
-    assert took < 10
+    assert took < 5
     session = read_session(folder)
     assert session.complete
     with Reader(folder) as reader:
@@ -243,18 +265,20 @@ def test_signals_finish_the_recording_and_exit_0(node_process, tmp_path, number)
     assert "Traceback" not in node.output()
 
 
-def test_after_kill_9_all_but_the_last_half_second_is_there(node_process, tmp_path):
+def test_after_kill_9_all_but_the_last_half_second_is_there(cell, node_process, tmp_path):
     node = node_process(f"record:={tmp_path}")
     node.until_running()
     folder = node.session()
-    size = mcap_file(folder).stat().st_size
-    node.until(lambda: mcap_file(folder).stat().st_size > size + 100_000)
+    heard = cell.collect(WrenchStamped, "/base_wrench")
+    node.until(lambda: len(heard) > 100)
     node.end(signal.SIGKILL)
     before = mcap_file(folder).read_bytes()
     session = read_session(folder)
     assert not session.complete
-    assert len(session.series) == len(session.motions) > 50
+    assert len(session.series) == len(session.motions)
     np.testing.assert_allclose(np.diff(session.series.time), DT, atol=1e-9)
+    last = heard[-1].header.stamp
+    assert last.sec + last.nanosec * 1e-9 - session.series.time[-1] < 0.5
     assert mcap_file(folder).read_bytes() == before
 
 
@@ -283,7 +307,6 @@ def test_a_disk_that_fills_up_ends_neither_simulation_nor_recording(node_process
     "argument, message",
     [
         ("scene:=/nowhere.yaml", "no such file"),
-        ("rate:=100", "parameter rate = 100 is an integer: write 100.0"),
         ("record:=/proc/nowhere", "cannot record in /proc/nowhere"),
     ],
 )
