@@ -86,7 +86,6 @@ class ResponseTable:
     def appended(self, footprint: Footprint) -> ResponseTable:
         """Return a table with one more row; the common rows are shared, not copied."""
         row, d = self.count, self.compliance.dimension
-        at_nodes, at_readers = self.compliance.response(footprint)
         twin = ResponseTable.__new__(ResponseTable)
         twin.compliance, twin.modes, twin.count = self.compliance, self.modes, row + 1
         twin._store = store = self._store.with_room(row)
@@ -94,9 +93,9 @@ class ResponseTable:
         twin.weights = np.concatenate([self.weights, footprint.weights])
         twin.starts = np.append(self.starts, len(self.nodes))
         n = store.length = row + 1
-        slots = self.compliance.slots(twin.nodes)
+        at_nodes, at_readers = self.compliance.response(footprint, twin.nodes)
         for a in range(d):
-            spread = at_nodes[a, slots] * twin.weights[:, None]
+            spread = at_nodes[a] * twin.weights[:, None]
             rows = np.add.reduceat(spread, twin.starts, axis=0)  # (n, d)
             for b in range(d):
                 store.static[b, a, :n, row] = rows[:, b]
