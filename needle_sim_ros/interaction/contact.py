@@ -137,7 +137,8 @@ class Contact:
             return self._released(state, step)
         if self._meets_channel(state, entry):
             return replace(self._released(state, step), inserted=True, depth=0.0, rate=0.0)
-        if starts[-1] < -_STILL:
+        # a free tip below the surface is in the dent that it left (dynamics), or underneath
+        if starts[-1] < -2 * self._half[-1]:
             raise CommandError(f"the tip would enter the tissue from below, at {ends.tolist()} m")
         track = self._layer.touch(entry, step.after.axial)
         fresh = self.at_rest()

@@ -7,8 +7,8 @@ variables at a bound that the gradient presses outwards stay there, the others t
 Newton step, and the projected step is shortened until the objective falls by Armijo's
 rule. Every iteration lowers a strictly convex function and there are finitely many sets
 of bound variables, so it ends; a warm start usually makes it end after one step. Should
-rounding stall it all the same, the dual active-set method for bounded least squares
-(Stark and Parker 1995), which ends by construction, takes over.
+rounding stall it all the same, block principal pivoting (Portugal, Judice and Vicente
+1994) takes over: its single pivots end by construction for any such matrix.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack, solve_triangular
-from scipy.optimize import lsq_linear
+from scipy.linalg import lapack
 
 from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
 
 _MOST_ITERATIONS = 50
+# iterations after which rounding, not the method, may be what keeps the gradient up
+_PATIENCE = 10
+# block pivots without progress before single ones
+_CHANCES = 10
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ def solve_contact(
     Raises
     ------
     SolverError
-        When the matrix is not positive definite.
+        When the matrix is not positive definite, or no solution is found.
     """
     scale = max(float(np.abs(right).max(initial=0.0)), 1e-300)
     allowed = tolerance * scale
@@ -84,6 +87,8 @@ def solve_contact(
         at_low, at_high = x <= low, x >= high
         pressed = (at_low & (gradient > 0)) | (at_high & (gradient < 0))
         free = ~pressed
+        if iteration > _PATIENCE:
+            allowed = max(allowed, _rounding(matrix, x))
         if not free.any() or float(np.abs(gradient[free]).max()) <= allowed:
             state = np.zeros(len(x), dtype=np.int8)
             state[at_low & pressed] = -1
@@ -93,7 +98,7 @@ def solve_contact(
         target = x.copy()
         target[free] = _newton(matrix, right, x, free)
         x, gradient = _armijo(matrix, right, x, gradient, target, low, high, free)
-    return _bounded_least_squares(matrix, right, low, high)
+    return _pivoted(matrix, right, low, high, allowed)
 
 
 def _newton(matrix: Vector, right: Vector, x: Vector, free: NDArray[np.bool_]) -> Vector:
@@ -120,19 +125,39 @@ def _newton(matrix: Vector, right: Vector, x: Vector, free: NDArray[np.bool_]) -
     return np.asarray(solution)
 
 
-def _bounded_least_squares(
-    matrix: Vector, right: Vector, low: Vector, high: Vector
+def _rounding(matrix: Vector, x: Vector) -> float:
+    """Bound what rounding leaves of a gradient; no entry is above the largest of the diagonal."""
+    largest = float(matrix.diagonal().max()) * float(np.abs(x).sum())
+    return 4 * float(np.finfo(float).eps) * largest
+
+
+def _pivoted(
+    matrix: Vector, right: Vector, low: Vector, high: Vector, allowed: float
 ) -> ContactSolution:
-    factor, info = lapack.dpotrf(matrix, lower=1, clean=1)
-    if info != 0:
-        raise SolverError("the contact compliance is not positive definite")
-    wider = np.nextafter(high, np.inf)  # the method wants low < high
-    load = solve_triangular(factor, right, lower=True)
-    result = lsq_linear(factor.T, load, (low, wider), method="bvls", tol=1e-15)
-    x = np.clip(result.x, low, high)
-    return ContactSolution(
-        x, matrix @ x - right, result.active_mask.astype(np.int8), int(result.nit) + _MOST_ITERATIONS
-    )
+    """Exchange all variables that are wrongly free or bound, or one when that does not help."""
+    closed = low == high
+    state = np.where(closed, -1, 0).astype(np.int8)
+    fewest, chances = len(right) + 1, _CHANCES
+    for iteration in range(1, 100 + 20 * len(right)):
+        x = np.where(state < 0, low, np.where(state > 0, high, 0.0))
+        free = state == 0
+        x[free] = _newton(matrix, right, x, free)
+        gradient = matrix @ x - right
+        slack = max(allowed, _rounding(matrix, x))
+        below, above = free & (x < low), free & (x > high)
+        inward = ((state < 0) & (gradient < -slack)) | ((state > 0) & (gradient > slack))
+        wrong = below | above | (inward & ~closed)
+        count = int(np.count_nonzero(wrong))
+        if count == 0:
+            return ContactSolution(x, gradient, state, _MOST_ITERATIONS + iteration)
+        if count < fewest:
+            fewest, chances = count, _CHANCES
+        elif chances > 0:
+            chances -= 1
+        else:  # Murty's rule
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        state[wrong] = np.where(below, -1, np.where(above, 1, 0))[wrong]
+    raise SolverError("the contact problem has no solution within its rounding")
 
 
 def _armijo(

@@ -85,4 +85,4 @@ def _prepare(
     places = (center[:, None, :] + across[None, :, None] * normal).reshape(-1, len(direction))
     nodes, values, inside = model.shape_functions(places)
     touched = np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])
-    compliance.ensure(touched, progress)
+    compliance.prepare(touched, progress)

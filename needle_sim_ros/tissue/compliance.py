@@ -2,8 +2,9 @@
 """Displacement per unit force between the few places that a scene reads or loads.
 
 The unit responses of a node do not depend on what the needle did, so they are computed
-once, for whole tiles of neighbouring nodes and in a fixed grouping, kept only where
-something reads them, and give the same bits whenever they are computed.
+once, for whole tiles of neighbouring nodes and in a fixed grouping, and kept only where
+something reads them. Between two tiles both solves give the same value but for rounding;
+the one of the higher rank counts, so that not a bit depends on what was asked before.
 """
 
 from __future__ import annotations
@@ -64,13 +65,18 @@ class NodalCompliance:
             for x, x0, t in zip(model.coordinates, center, tile, strict=True)
         ]
         key = np.zeros(model.nodes)
-        for step in steps:
+        for step in (-steps[-1], *steps[:-1]):  # deeper tiles have higher numbers, and ranks
             key = key * (step.max() - step.min() + 1) + (step - step.min())
         _, self._tile_of = np.unique(key, return_inverse=True)
+        tiles = int(self._tile_of.max()) + 1
         self._order = np.argsort(self._tile_of, kind="stable")
-        self._bounds = np.searchsorted(self._tile_of[self._order], np.arange(key.size + 1))
+        self._bounds = np.searchsorted(self._tile_of[self._order], np.arange(tiles + 1))
+        self._rank = np.arange(tiles)
         self._slot = np.full(model.nodes, -1, dtype=np.intp)
         self._kept = np.empty(0, dtype=np.intp)
+        self._first = np.full(tiles, -1, dtype=np.intp)  # slot of a tile's first node
+        self._read_to = np.zeros(tiles, dtype=np.intp)  # slots that its responses were read at
+        self._lacking = False
         self._blocks = np.zeros((0, 0))
         self._read = np.zeros((readers.shape[0], 0))
         self._d = d
@@ -95,36 +101,70 @@ class NodalCompliance:
         """Number of nodes whose responses are kept."""
         return len(self._kept)
 
+    def prepare(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
+        """Compute the responses of the tiles on the planned path, before all others.
+
+        Their ranks become the lowest: the solve of a tile off the plan then reads all of
+        them, and none has to be solved again for it.
+        """
+        self._rank[np.unique(self._tile_of[nodes])] -= len(self._rank)
+        return self.ensure(nodes, progress)
+
     def ensure(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Compute the responses of the tiles of `nodes` that are missing; return how many."""
         tiles = np.unique(self._tile_of[nodes[self._slot[nodes] < 0]])
+        if len(tiles) == 0:
+            return 0
+        rank = self._rank[self._tile_of[self._kept]].max(initial=-len(self._rank))
+        self._lacking = self._lacking or bool((self._rank[tiles] < rank).any())
+        for tile in tiles:
+            self._keep(int(tile))
+        self._reserve(self._d * len(self._kept))
         for done, tile in enumerate(tiles):
-            self._add(self._order[self._bounds[tile] : self._bounds[tile + 1]])
+            self._solve(int(tile))
             if progress is not None:
                 progress(done + 1, len(tiles))
         return len(tiles)
 
-    def _add(self, nodes: Index) -> None:
-        d, model = self._d, self._model
-        first, count = len(self._kept), len(nodes)
+    def _members(self, tile: int) -> Index:
+        return self._order[self._bounds[tile] : self._bounds[tile + 1]]
+
+    def _keep(self, tile: int) -> None:
+        nodes, first = self._members(tile), len(self._kept)
+        self._first[tile] = first
+        self._slot[nodes] = np.arange(first, first + len(nodes))
+        self._kept = np.concatenate([self._kept, nodes])
+
+    def _solve(self, tile: int) -> None:
+        """Compute the responses of a tile's nodes at the kept nodes of no higher rank."""
+        d, model, nodes = self._d, self._model, self._members(tile)
         unknowns = (d * nodes[:, None] + np.arange(d)).ravel()
         places = model.position_of[unknowns]
-        unit = np.zeros((len(model.free), d * count), order="F")
+        unit = np.zeros((len(model.free), d * len(nodes)), order="F")
         loaded = np.flatnonzero(places >= 0)
         unit[places[loaded], loaded] = 1.0
         response = self._factor.solve(unit)
-        kept = np.concatenate([self._kept, nodes])
-        self._reserve(d * len(kept))
-        rows = model.position_of[(d * kept[:, None] + np.arange(d)).ravel()]
+        slots = np.flatnonzero(self._rank[self._tile_of[self._kept]] <= self._rank[tile])
+        rows = model.position_of[(d * self._kept[slots][:, None] + np.arange(d)).ravel()]
         block = np.where(rows[:, None] >= 0, response[rows], 0.0)
-        low, high = d * first, d * len(kept)
-        own = block[low:]
-        block[low:] = 0.5 * (own + own.T)
-        self._blocks[:high, low:high] = block
-        self._blocks[low:high, :low] = block[:low].T
+        places, own = self._places(self._kept[slots]), self._places(nodes)
+        low, high = int(own[0]), int(own[-1]) + 1
+        itself = (places >= low) & (places < high)
+        block[itself] = 0.5 * (block[itself] + block[itself].T)
+        self._blocks[places, low:high] = block
+        self._blocks[low:high, places] = block.T
         self._read[:, low:high] = self.reader_matrix @ response
-        self._slot[nodes] = np.arange(first, len(kept))
-        self._kept = kept
+        self._read_to[tile] = len(self._kept)
+
+    def _complete(self, nodes: Index, others: Index) -> None:
+        """Solve tiles again that are to be read at nodes kept after their solve."""
+        if not self._lacking:
+            return
+        one, other = np.meshgrid(np.unique(self._tile_of[nodes]), np.unique(self._tile_of[others]))
+        swap = self._rank[one] > self._rank[other]
+        lower, higher = np.where(swap, other, one), np.where(swap, one, other)
+        for tile in np.unique(higher[self._first[lower] >= self._read_to[higher]]):
+            self._solve(int(tile))
 
     def _reserve(self, size: int) -> None:
         capacity = self._blocks.shape[0]
@@ -137,32 +177,37 @@ class NodalCompliance:
         read[:, :capacity] = self._read
         self._blocks, self._read = blocks, read
 
-    def response(self, footprint: Footprint) -> tuple[Vector, Vector]:
+    def response(self, footprint: Footprint, at: Index) -> tuple[Vector, Vector]:
         """Return the response to unit forces spread by a footprint.
+
+        Parameters
+        ----------
+        footprint : Footprint
+        at : ndarray of int, shape (k,)
+            Nodes to read.
 
         Returns
         -------
-        at_nodes : ndarray, shape (d, kept nodes, d)
-            Displacement component b of each kept node per unit force component a.
+        at_nodes : ndarray, shape (d, k, d)
+            Displacement component b of each node per unit force component a.
         at_readers : ndarray, shape (r, d)
             Displacement at the readers per unit force component.
         """
         self.ensure(footprint.nodes)
+        self.ensure(at)
+        self._complete(footprint.nodes, at)
         d, slots, n = self._d, self._slot[footprint.nodes], self._d * len(self._kept)
-        at_nodes = np.empty((d, len(self._kept), d))
+        at_nodes = np.empty((d, len(at), d))
         at_readers = np.empty((self._read.shape[0], d))
-        # sums along rows, not products of matrices: the same bits wherever a node is kept
-        share = footprint.weights[:, None]
         for a in range(d):
             rows = self._blocks[d * slots + a, :n]
-            at_nodes[a] = np.add.reduce(rows * share, axis=0).reshape(-1, d)
+            rows *= footprint.weights[:, None]
+            # summed node by node: unlike a product it gives the same bits whatever n is
+            everywhere = np.add.reduce(rows, axis=0)
+            at_nodes[a] = everywhere.reshape(-1, d)[self._slot[at]]
             columns = self._read[:, d * slots + a]
             at_readers[:, a] = (columns * footprint.weights).sum(axis=1)
         return at_nodes, at_readers
-
-    def slots(self, nodes: Index) -> Index:
-        """Return where nodes are among the kept ones."""
-        return self._slot[nodes]
 
     def displacement(self, loaded: Index, loads: Vector, nodes: Index) -> Vector:
         """Return the static displacement of nodes, (k, d), under loads on kept nodes.
@@ -176,8 +221,9 @@ class NodalCompliance:
         nodes : ndarray of int, shape (k,)
         """
         self.ensure(nodes)
-        d = self._d
-        places = (d * self._slot[nodes][:, None] + np.arange(d)).ravel()
-        causes = (d * self._slot[loaded][:, None] + np.arange(d)).ravel()
-        block = self._blocks[places[:, None], causes[None, :]]
-        return np.asarray((block @ loads.ravel()).reshape(-1, d))
+        self._complete(nodes, loaded)
+        block = self._blocks[np.ix_(self._places(nodes), self._places(loaded))]
+        return np.asarray((block @ loads.ravel()).reshape(-1, self._d))
+
+    def _places(self, nodes: Index) -> Index:
+        return np.asarray((self._d * self._slot[nodes][:, None] + np.arange(self._d)).ravel())

@@ -97,7 +97,6 @@ class ResponseTable:
     def appended(self, footprint: Footprint) -> ResponseTable:
         """Return a table with one more row; the common rows are shared, not copied."""
         row, d = self.count, self.compliance.dimension
-        at_nodes, at_readers = self.compliance.response(footprint)
         twin = ResponseTable.__new__(ResponseTable)
         twin.compliance, twin.modes, twin.count = self.compliance, self.modes, row + 1
         twin._store = store = self._store.with_room(row)
@@ -106,9 +105,9 @@ class ResponseTable:
         twin.starts = np.append(self.starts, len(self.nodes))
         store.length = row + 1
         own, wide = slice(d * row, d * row + d), d * (row + 1)
-        slots = self.compliance.slots(twin.nodes)
+        at_nodes, at_readers = self.compliance.response(footprint, twin.nodes)
         for a in range(d):
-            spread = at_nodes[a, slots] * twin.weights[:, None]
+            spread = at_nodes[a] * twin.weights[:, None]
             column = np.add.reduceat(spread, twin.starts, axis=0).ravel()
             store.static[:wide, d * row + a] = column
             store.static[d * row + a, : d * row] = column[: d * row]
