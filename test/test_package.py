@@ -22,11 +22,11 @@ LAYERS = (
     {"errors"},
     {"command", "geometry", "resources", "schema"},
     {"scene", "scene_checks"},
-    {"tissue", "needle"},
+    {"tissue", "needle", "protocol"},
     {"interaction"},
     {"observation", "simulator", "statistics"},
     {"session", "identify", "planning", "benchmark", "view"},
-    {"cli", "ros"},
+    {"cli", "commands", "ros"},
 )
 RANK = {part: rank for rank, parts in enumerate(LAYERS) for part in parts}
 ROS_FREE = {part for part, rank in RANK.items() if rank <= RANK["simulator"]}

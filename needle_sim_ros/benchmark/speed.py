@@ -8,7 +8,7 @@ else the machine does hits them alike and only ratios are reported as figures.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,10 +19,13 @@ from needle_sim_ros.benchmark.profile import sampled
 from needle_sim_ros.benchmark.result import BenchmarkResult, Row
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.interaction.process import Process
+from needle_sim_ros.protocol import protocol_commands
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
 
 Progress = Callable[[int, int], None]
+# Scene, recording or not, subscribers or not, to a row with ticks, overruns and tick times.
+NodeMeasurement = Callable[[Scene, bool, bool], Row]
 
 # Modes of the reduced run where the scene names none.
 REDUCED_MODES = 60
@@ -59,7 +62,12 @@ class _Run:
         return float(np.percentile(self.milliseconds, 99))
 
 
-def speed(scene: Scene, quick: bool = False, progress: Progress | None = None) -> BenchmarkResult:
+def speed(
+    scene: Scene,
+    quick: bool = False,
+    progress: Progress | None = None,
+    node: NodeMeasurement | None = None,
+) -> BenchmarkResult:
     """Time the ticks of a scene over its protocol.
 
     Parameters
@@ -71,6 +79,9 @@ def speed(scene: Scene, quick: bool = False, progress: Progress | None = None) -
         Run the protocol four times as fast: as deep, in a quarter of the ticks.
     progress : callable, optional
         Called with (done, total) ticks.
+    node : callable, optional
+        Measures the node's loop in real time, ``ros.loop_measurement.measure_loop``; without
+        it the node's figure is None.
 
     Returns
     -------
@@ -80,7 +91,7 @@ def speed(scene: Scene, quick: bool = False, progress: Progress | None = None) -
     if quick:
         scene = _hurried(scene)
     runs = _runs(scene)
-    commands = list(protocol_commands(scene))
+    commands = protocol_commands(scene.protocol, scene.solver.time_step)
     dt = scene.solver.time_step
     side_by_side = _distinct(runs)
     for number, command in enumerate(commands):
@@ -91,15 +102,9 @@ def speed(scene: Scene, quick: bool = False, progress: Progress | None = None) -
             progress(number + 1, len(commands))
     result = BenchmarkResult("speed", scene.name, _figures(scene, runs), _rows(runs))
     result.table += _parts(scene, commands)
+    if node is not None:
+        _measure_node(scene, node, result, runs)
     return result
-
-
-def protocol_commands(scene: Scene) -> Iterator[BaseCommand]:
-    """Yield the base command of every tick of the scene's protocol."""
-    for segment in scene.protocol:
-        command = segment.command()
-        for _ in range(max(1, round(segment.duration / scene.solver.time_step))):
-            yield command
 
 
 def _hurried(scene: Scene) -> Scene:
@@ -182,6 +187,26 @@ def _rows(runs: dict[str, _Run]) -> list[Row]:
             }
         )
     return rows
+
+
+def _measure_node(
+    scene: Scene, node: NodeMeasurement, result: BenchmarkResult, runs: dict[str, _Run]
+) -> None:
+    """Add the node's loop: alone, recording, and recording with subscribers."""
+    paper = runs.get("paper")
+    cases = {"alone": (False, False), "recording": (True, False), "and subscribers": (True, True)}
+    for name, (record, subscribe) in cases.items():
+        row = node(scene, record, subscribe)
+        result.table.append(
+            {
+                "section": f"the node's loop at {1 / scene.solver.time_step:g} Hz, in real time",
+                "node": name,
+                **row,
+                "paper_over_it": None if paper is None else paper.median() / row["median_ms"],
+            }
+        )
+        if name == "recording":
+            result.figures["node_overrun_fraction"] = row["overruns"] / max(1, row["ticks"])
 
 
 def _parts(scene: Scene, commands: list[BaseCommand]) -> list[Row]:

@@ -10,7 +10,8 @@ import pytest
 
 from needle_sim_ros import Scene, Simulator
 from needle_sim_ros.benchmark.profile import sampled
-from needle_sim_ros.benchmark.speed import protocol_commands, speed
+from needle_sim_ros.benchmark.speed import speed
+from needle_sim_ros.protocol import protocol_commands
 
 SMALL = {
     "tissue.mesh.spacing_across": 2e-3,
@@ -83,10 +84,21 @@ def test_regions_leave_the_paper_out():
     assert result.figures["newmark_over_quasi_static"] > 0
 
 
-def test_protocol_commands_follow_the_segments():
-    scene = Scene.load("gao2016", SMALL)
-    speeds = [float(command.velocity[2]) for command in protocol_commands(scene)]
-    assert speeds == [-0.03] * 80 + [0.0] * 20 + [0.03] * 40
+def test_node_is_measured_alone_recording_and_with_subscribers():
+    asked = []
+
+    def node(scene, record, subscribe):
+        asked.append((scene.name, record, subscribe))
+        return {"ticks": 200, "overruns": 3 * record, "median_ms": 0.5}
+
+    scene = Scene.load("gao2016", SMALL | {"solver.dynamics": "quasi_static"})
+    result = speed(scene, quick=True, node=node)
+    assert asked == [("gao2016", False, False), ("gao2016", True, False), ("gao2016", True, True)]
+    assert result.figures["node_overrun_fraction"] == 3 / 200
+    rows = [row for row in result.table if "node" in row]
+    paper = next(r for r in result.table if r.get("run", "").startswith("paper"))["median_ms"]
+    assert [row["overruns"] for row in rows] == [0, 3, 3]
+    assert rows[0]["paper_over_it"] == pytest.approx(paper / 0.5)
 
 
 class TestProfile:
@@ -97,7 +109,7 @@ class TestProfile:
             until = time.process_time() + 0.5
             while time.process_time() < until:
                 simulator.reset()
-                for command in protocol_commands(scene):
+                for command in protocol_commands(scene.protocol, 0.01):
                     simulator.step(command, 0.01)
         assert sum(counts.values()) > 20
         places = {label.split("/")[0].split(".py")[0] for label in counts}
