@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
-from needle_sim_ros.commands.output import check_picture, check_writable, prepared, progress, table, write_json
+from needle_sim_ros.commands.output import (
+    check_picture,
+    check_writable,
+    prepared,
+    progress,
+    table,
+    write_json,
+)
 from needle_sim_ros.commands.tables import summary_rows
 from needle_sim_ros.errors import SessionError
 
