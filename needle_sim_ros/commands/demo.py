@@ -35,7 +35,6 @@ EXAMPLES = (
 
 # Beyond 101 DDS ports fall into Linux' range of ephemeral ports; 0 is everybody's default.
 _DOMAINS = range(30, 101)
-_PERIOD = 0.02  # s, between commands in real time; well below the node's command timeout
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -137,15 +136,14 @@ def _stepwise(
 def _in_real_time(
     driver: Driver, commands: Sequence[BaseCommand], step: float, advance: Callable[[int], object]
 ) -> None:
-    """Let the node's clock run and send what is due, as a stage controller would."""
+    """Let the node's clock run and send what is due at the time that its stamps tell."""
     driver.pause(False)
-    begin = time.monotonic()
     done = 0
-    while (tick := int((time.monotonic() - begin) / step)) < len(commands):
+    while (tick := round(driver.time / step)) < len(commands):
         driver.send(commands[tick])
         advance(tick - done)
         done = tick
-        driver.spin(_PERIOD)
+        driver.wait_tick()
     driver.pause(True)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
 from needle_sim_ros.commands.output import (
+    check_new_folder,
     check_picture,
     check_writable,
     prepared,
@@ -61,6 +62,7 @@ def execute(args: argparse.Namespace) -> int:
     """Run the protocol; print, record, plot and write what was asked for."""
     check_writable(args.json)
     check_picture(args.plot)
+    check_new_folder(args.record)
     scene = load_scene(args.scene, args.overrides)
 
     from needle_sim_ros.protocol import protocol_commands

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import rclpy
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import TwistStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
@@ -44,6 +44,11 @@ class Driver:
         Called while waiting; raises when waiting has become pointless.
     node : str
         Name of the node to drive.
+
+    Attributes
+    ----------
+    time : float
+        Simulated time of the node's newest tick that was heard of, s.
     """
 
     def __init__(
@@ -65,6 +70,8 @@ class Driver:
         self._reset = self._client(Trigger, f"{node}/reset")
         self._pause = self._client(SetBool, f"{node}/pause")
         self._record = self._client(SetBool, f"{node}/record")
+        self._node.create_subscription(WrenchStamped, "base_wrench", self._ticked, _RELIABLE)
+        self.time = 0.0
         self._parameters = self._client(SetParameters, f"{node}/set_parameters")
 
     def __enter__(self) -> Driver:
@@ -102,6 +109,7 @@ class Driver:
     def reset(self) -> None:
         """Send the simulation back to its start."""
         self._call(self._reset, Trigger.Request())
+        self.time = 0.0
 
     def record(self, on: bool) -> str:
         """Begin or finish a recording; return what the node says about it."""
@@ -149,15 +157,20 @@ class Driver:
                     return
         raise NeedleSimError("the node does not receive commands")
 
-    def spin(self, duration: float) -> None:
-        """Take in messages for a time, s."""
-        self._spin_until(lambda: False, duration)
+    def wait_tick(self) -> None:
+        """Wait for the running node's next tick."""
+        now = self.time
+        self._wait(lambda: self.time > now, _ANSWER, "the node does not tick")
 
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+    def _ticked(self, message: WrenchStamped) -> None:
+        stamp = message.header.stamp
+        self.time = stamp.sec + 1e-9 * stamp.nanosec
 
     def _client(self, kind: Any, name: str) -> Client:
         return self._node.create_client(kind, name)

@@ -111,11 +111,6 @@ def draw_section(ax: Axes, section: Section) -> None:
     if len(section.markers):
         x, z = MM * section.markers[:, [0, 2]].T
         dot: dict[str, Any] = {"markersize": 3.5, "markerfacecolor": "white"}
-            "marker": "o",
-            "markersize": 3.5,
-            "markerfacecolor": "white",
-            "linestyle": "none",
-        }
         ax.plot(x, z, "o", color=BLACK, label="markers", **dot)
     body: dict[str, Any] = {"facecolor": "0.85", "edgecolor": BLACK, "linewidth": 0.8, "zorder": 4}
     ax.add_patch(Polygon(MM * needle_outline(section), label="needle", **body))
