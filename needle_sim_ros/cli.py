@@ -8,6 +8,7 @@ beyond its tolerance), 2 the work could not be done; then one line on stderr say
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -56,6 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv : sequence of str, optional
         Arguments without the program's name; those of the process if not given.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # ν and µ on an ASCII terminal
     args = build_parser().parse_args(argv)
     try:
         status = int(args.execute(args))

@@ -44,6 +44,25 @@ def check_writable(path: Path | None) -> None:
         raise NeedleSimError(f"cannot write {path}: no permission")
 
 
+def check_new_folder(path: Path | None) -> None:
+    """Make sure, before long work, that a folder can be made; makes nothing.
+
+    Raises
+    ------
+    NeedleSimError
+        When it exists or cannot be made, saying why.
+    """
+    if path is None:
+        return
+    if path.exists():
+        raise NeedleSimError(f"{path} exists: a recording is never overwritten")
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir():
+        raise NeedleSimError(f"cannot record in {path}: {parent} is not a folder")
+    if not os.access(parent, os.W_OK):
+        raise NeedleSimError(f"cannot record in {path}: no permission")
+
+
 def check_picture(path: Path | None) -> None:
     """Make sure, before long work, that a picture can be written under this name."""
     from needle_sim_ros.view.files import picture_format

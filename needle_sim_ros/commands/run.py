@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
-from needle_sim_ros.commands.output import check_picture, check_writable, prepared, progress, table, write_json
+from needle_sim_ros.commands.output import (
+    check_new_folder,
+    check_picture,
+    check_writable,
+    prepared,
+    progress,
+    table,
+    write_json,
+)
 from needle_sim_ros.commands.tables import summary_rows
 from needle_sim_ros.errors import SessionError
 
@@ -54,6 +62,7 @@ def execute(args: argparse.Namespace) -> int:
     """Run the protocol; print, record, plot and write what was asked for."""
     check_writable(args.json)
     check_picture(args.plot)
+    check_new_folder(args.record)
     scene = load_scene(args.scene, args.overrides)
 
     from needle_sim_ros.protocol import protocol_commands

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import TwistStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
@@ -23,9 +22,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from needle_sim_ros.errors import NeedleSimError
 
+if TYPE_CHECKING:
+    from needle_sim_ros.command import BaseCommand
+
 _DISCOVERY = 30.0  # s; usually 0.05, seen to take several under load
 _ANSWER = 20.0  # s, for one service call
-_RESEND = 1.5  # s; longer than the period of the node's diagnostics
+_RESEND = 0.5  # s
+_ATTEMPTS = 20
 _SPIN = 0.05  # s
 _RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -41,6 +44,11 @@ class Driver:
         Called while waiting; raises when waiting has become pointless.
     node : str
         Name of the node to drive.
+
+    Attributes
+    ----------
+    time : float
+        Simulated time of the node's newest tick that was heard of, s.
     """
 
     def __init__(
@@ -62,11 +70,9 @@ class Driver:
         self._reset = self._client(Trigger, f"{node}/reset")
         self._pause = self._client(SetBool, f"{node}/pause")
         self._record = self._client(SetBool, f"{node}/record")
+        self._node.create_subscription(WrenchStamped, "base_wrench", self._ticked, _RELIABLE)
+        self.time = 0.0
         self._parameters = self._client(SetParameters, f"{node}/set_parameters")
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, _RELIABLE)
-        self._sent = 0
-        self._received = 0
-        self._received_before = 0
 
     def __enter__(self) -> Driver:
         return self
@@ -96,13 +102,14 @@ class Driver:
 
         self._wait(ready, _DISCOVERY, "the node did not appear")
 
-    def pause(self, paused: bool) -> None:
-        """Stop the node's clock, or let it run."""
-        self._call(self._pause, SetBool.Request(data=paused))
+    def pause(self, paused: bool) -> dict[str, Any]:
+        """Stop the node's clock or let it run; return what the node says of itself."""
+        return self._status(self._call(self._pause, SetBool.Request(data=paused)))
 
     def reset(self) -> None:
         """Send the simulation back to its start."""
         self._call(self._reset, Trigger.Request())
+        self.time = 0.0
 
     def record(self, on: bool) -> str:
         """Begin or finish a recording; return what the node says about it."""
@@ -117,37 +124,43 @@ class Driver:
             raise NeedleSimError(f"the node refuses {name} = {value}: {result.reason}")
 
     def step(self) -> dict[str, Any]:
-        """Let the paused node make one tick; return what it says: time, ticks, commands_received."""
-        answer: dict[str, Any] = json.loads(self._call(self._step, Trigger.Request()).message)
-        self._received = max(self._received, int(answer["commands_received"]))
-        return answer
+        """Let the paused node make one tick; return what it says: time, ticks and so on."""
+        return self._status(self._call(self._step, Trigger.Request()))
 
-    def send(self, velocity: Sequence[float], angular_velocity: Sequence[float]) -> None:
-        """Publish a stage velocity, m/s and rad/s in the tissue frame."""
+    def send(self, command: BaseCommand) -> None:
+        """Publish a command's velocities, m/s and rad/s in the tissue frame."""
         message = TwistStamped()
-        linear, angular = message.twist.linear, message.twist.angular
-        linear.x, linear.y, linear.z = map(float, velocity)
-        angular.x, angular.y, angular.z = map(float, angular_velocity)
-        self._sent += 1
+        parts = (
+            (message.twist.linear, command.velocity),
+            (
+                message.twist.angular,
+                command.angular_velocity,
+            ),
+        )
+        for vector, values in parts:
+            if values is not None:
+                vector.x, vector.y, vector.z = values.tolist()
         self._publisher.publish(message)
 
-    def deliver(self, velocity: Sequence[float], angular_velocity: Sequence[float]) -> None:
-        """Publish a stage velocity and wait until the node has received it.
+    def deliver(self, command: BaseCommand) -> None:
+        """Publish a command's velocities and wait until the paused node has received them.
 
         The subscription is best effort, so what does not arrive is sent again: the
         same command twice is the same command.
         """
-        before = self._received
-        deadline = time.monotonic() + _ANSWER
-        while self._received <= before:
-            self.send(velocity, angular_velocity)
-            self._spin_until(lambda: self._received > before, _RESEND)
-            if time.monotonic() > deadline:
-                raise NeedleSimError("the node does not receive commands")
+        before = self.pause(True)["commands_received"]
+        for _ in range(_ATTEMPTS):
+            self.send(command)
+            deadline = time.monotonic() + _RESEND
+            while time.monotonic() < deadline:
+                if self.pause(True)["commands_received"] > before:
+                    return
+        raise NeedleSimError("the node does not receive commands")
 
-    def spin(self, duration: float) -> None:
-        """Take in messages for a time, s."""
-        self._spin_until(lambda: False, duration)
+    def wait_tick(self) -> None:
+        """Wait for the running node's next tick."""
+        now = self.time
+        self._wait(lambda: self.time > now, _ANSWER, "the node does not tick")
 
     def close(self) -> None:
         """Leave the graph."""
@@ -155,14 +168,17 @@ class Driver:
         self._node.destroy_node()
         self._context.try_shutdown()
 
+    def _ticked(self, message: WrenchStamped) -> None:
+        stamp = message.header.stamp
+        self.time = stamp.sec + 1e-9 * stamp.nanosec
+
     def _client(self, kind: Any, name: str) -> Client:
         return self._node.create_client(kind, name)
 
-    def _diagnosed(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            for pair in status.values:
-                if pair.key == "commands_received":
-                    self._received = max(self._received, int(pair.value))
+    @staticmethod
+    def _status(response: Any) -> dict[str, Any]:
+        status: dict[str, Any] = json.loads(response.message)
+        return status
 
     def _call(self, client: Client, request: Any) -> Any:
         response = self._answer(client, request)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -21,8 +22,8 @@ class NodeProcess:
 
     Parameters
     ----------
-    parameters : mapping of str to object
-        Parameters of the node; numbers are passed as floats.
+    parameters : mapping of str to bool, float or str
+        Parameters of the node.
     domain : int
         ROS domain id.
     log : Path
@@ -32,7 +33,8 @@ class NodeProcess:
     def __init__(self, parameters: Mapping[str, object], domain: int, log: Path) -> None:
         self._command = [sys.executable, "-m", "needle_sim_ros.ros.node", "--ros-args"]
         for name, value in parameters.items():
-            self._command += ["-p", f"{name}:={value}"]
+            # JSON is YAML, in which parameters are written, with every string quoted.
+            self._command += ["-p", f"{name}:={json.dumps(value)}"]
         self._environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(domain),

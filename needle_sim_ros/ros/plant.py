@@ -151,6 +151,7 @@ class Plant:
         with self._lock:
             if self._session is not None:
                 raise SessionError(f"already recording in {self._session.folder}")
+            self._epoch = 0  # resets before it are no business of this session's
             naming = self._naming
             self._session = SessionWriter(
                 new_folder(parent, self.scene.name),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import SessionError
@@ -47,9 +48,8 @@ def resimulate(session: Session, tick: int) -> tuple[Simulator, Observation]:
     motions = motions_until(session, tick)
     sim = Simulator(Scene.from_yaml(session.scene_text))
     period = float(session.metadata["tick_period"])
-    last, command = None, None
-    for motion in motions:
-        if motion != last:
-            last, command = motion, motion.command()
-        observation = sim.step(command, period)
-    return sim, observation
+    for motion, same in groupby(motions):
+        command = motion.command()
+        for _ in same:
+            sim.step(command, period)
+    return sim, sim.observe()

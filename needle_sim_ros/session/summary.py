@@ -25,8 +25,8 @@ class Summary:
     peak_base_force : dict of str to float
         Largest magnitude of the base force in each process that occurred, N.
     puncture_force, puncture_depth : float or None
-        Magnitude of the base force, N, and tip below the undeformed surface, m, in the
-        last tick before the needle first went in.
+        Largest magnitude of the base force, N, up to the tick in which the surface first
+        broke, and how far the tip was below the undeformed surface then, m.
     max_insertion_depth, max_tip_deflection, max_marker_displacement : float or None
         Largest magnitudes, m.
     tick_median, tick_p99 : float or None
@@ -75,7 +75,7 @@ def summarise(
     process = np.array(series.process)
     peaks = {name: float(force[process == name].max()) for name in dict.fromkeys(series.process)}
     duration = len(series) * time_step
-    puncture = _puncture_tick(series.process)
+    puncture = _puncture_tick(series.process, force)
     moved = np.linalg.norm(series.marker_displacements, axis=2)
     return Summary(
         ticks=len(series),
@@ -92,9 +92,8 @@ def summarise(
     )
 
 
-def _puncture_tick(process: list[str]) -> int | None:
-    """Return the last tick of contact before the first insertion, if there is one."""
+def _puncture_tick(process: list[str], force: Array) -> int | None:
+    """Return the tick of the largest force up to the first of the first insertion."""
     if "insertion" not in process:
         return None
-    before = process.index("insertion") - 1
-    return before if before >= 0 and process[before] == "contact" else None
+    return int(np.argmax(force[: process.index("insertion") + 1]))

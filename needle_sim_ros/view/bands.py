@@ -50,13 +50,11 @@ def draw_bands(ax: Axes, time: NDArray[np.float64], process: Sequence[str]) -> N
     """
     left, right = ax.get_xlim()
     width = ax.get_window_extent().width / ax.figure.dpi * 72  # points
+    edges: dict[str, list[float]] = {}
     for band in bands(process):
         start = time[band.first - 1] if band.first else min(left, time[0])
         end = time[band.last]
-        style = PROCESSES[band.process]
-        ax.axvspan(start, end, color=style.band, linewidth=0, zorder=0)
-        if band.first:
-            ax.axvline(start, color="0.6", linewidth=0.6, zorder=0.5)
+        edges.setdefault(band.process, []).extend((start, end, np.nan))
         share = (end - start) / (right - left)
         if share < _NARROWEST_LABEL:
             continue
@@ -71,4 +69,16 @@ def draw_bands(ax: Axes, time: NDArray[np.float64], process: Sequence[str]) -> N
             va="bottom",
             rotation=0 if fits else 40,
             rotation_mode="anchor",
+        )
+    for name, x in edges.items():
+        ax.fill_between(
+            x,
+            0.0,
+            1.0,
+            where=np.isfinite(x).tolist(),
+            transform=ax.get_xaxis_transform(),
+            facecolor=PROCESSES[name].band,
+            edgecolor="0.6",
+            linewidth=0.6,
+            zorder=0,
         )

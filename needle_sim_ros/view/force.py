@@ -49,9 +49,7 @@ def draw_force_over_time(ax: Axes, series: Series, instant: float | None = None)
             series.time, series.friction_force, color=BLUE, linestyle=(0, (5, 2)), label="friction"
         )
     if series.tip_force is not None:
-        ax.plot(
-            series.time, series.tip_force, color=VERMILION, linestyle=(0, (1, 1)), label="tip"
-        )
+        ax.plot(series.time, series.tip_force, color=VERMILION, linestyle=(0, (1, 1)), label="tip")
     if instant is not None:
         force = np.interp(instant, series.time, axial_force(series))
         ax.plot(

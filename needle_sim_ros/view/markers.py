@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _LABEL_SHARE = 0.032  # of the axes: half the size of a number with its distance
+_MARGIN = 1.2  # by which a track's box is larger than the track
 _FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -48,9 +49,9 @@ def exaggeration(reference: Array, displacements: Array) -> int:
 
 def _overlap(reference: Array, displacements: Array) -> bool:
     """Say whether the boxes around any two tracks, starts included, overlap in x and z."""
-    low = (reference + np.minimum(displacements.min(axis=0), 0.0))[:, [0, 2]]
-    high = (reference + np.maximum(displacements.max(axis=0), 0.0))[:, [0, 2]]
-    shared = (low[:, None] < high[None, :]) & (low[None, :] < high[:, None])
+    low = (reference + _MARGIN * np.minimum(displacements.min(axis=0), 0.0))[:, [0, 2]]
+    high = (reference + _MARGIN * np.maximum(displacements.max(axis=0), 0.0))[:, [0, 2]]
+    shared = (low[:, None] <= high[None, :]) & (low[None, :] <= high[:, None])
     pairs = shared.all(axis=2)
     np.fill_diagonal(pairs, False)
     return bool(pairs.any())

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import patheffects
@@ -84,8 +85,8 @@ def take_section(sim: Simulator, observation: Observation) -> Section:
         track=track,
         markers=np.array(observation.marker_positions).reshape(-1, 3),
         radius=scene.needle.radius,
-        bevel=2 * scene.needle.radius / np.tan(tip.bevel_angle),
-        bevel_side=-1.0 if tip.deviation_angle * np.cos(tip.roll) < 0 else 1.0,
+        bevel=2 * scene.needle.radius / math.tan(tip.bevel_angle),
+        bevel_side=-1.0 if tip.deviation_angle * math.cos(tip.roll) < 0 else 1.0,
     )
 
 
@@ -109,9 +110,9 @@ def draw_section(ax: Axes, section: Section) -> None:
     _draw_grid_lines(ax, section.grid, placed)
     if len(section.markers):
         x, z = MM * section.markers[:, [0, 2]].T
-        dot = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white", "linestyle": "none"}
-        ax.plot(x, z, color=BLACK, label="markers", **dot)
-    body = {"facecolor": "0.85", "edgecolor": BLACK, "linewidth": 0.8, "zorder": 4}
+        dot: dict[str, Any] = {"markersize": 3.5, "markerfacecolor": "white"}
+        ax.plot(x, z, "o", color=BLACK, label="markers", **dot)
+    body: dict[str, Any] = {"facecolor": "0.85", "edgecolor": BLACK, "linewidth": 0.8, "zorder": 4}
     ax.add_patch(Polygon(MM * needle_outline(section), label="needle", **body))
     halo = [patheffects.Stroke(linewidth=2.6, foreground="white"), patheffects.Normal()]
     if len(section.track):

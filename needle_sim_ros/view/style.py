@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 
@@ -41,7 +42,7 @@ PROCESSES = {
     "retraction": ProcessStyle("#fdf1dc", VERMILION, (0, (5, 2))),
 }
 
-_SETTINGS = {
+_SETTINGS: Any = {
     "figure.dpi": 100,
     "savefig.dpi": 150,
     "font.size": 9.0,

@@ -33,7 +33,7 @@ def draw_tick_histogram(
     """
     times = MS * tick_times
     edges = np.geomspace(times.min() * 0.95, times.max() * 1.05, _BINS)
-    ax.hist(times, edges, histtype="stepfilled", color=SKY, edgecolor=BLACK, linewidth=0.6)
+    ax.hist(times, edges.tolist(), histtype="stepfilled", color=SKY, edgecolor=BLACK, linewidth=0.6)
     marks = [
         (float(np.median(times)), "median", BLUE, "-"),
         (float(np.percentile(times, 99)), "p99", VERMILION, (0, (5, 2))),
