@@ -121,13 +121,17 @@ class Observation:
         contact = self._contact
         if contact.active == 0:
             return np.zeros(3)
-        arms = self._in_base(self._bent(contact.arclength), contact.arclength)
-        torque = np.cross(arms, self._in_base(-contact.lateral, np.zeros(len(arms)))).sum(axis=0)
-        at = np.append(self._friction_at, self._scene.needle.length)
-        arms = self._in_base(self._bent(at), at)
-        axial = np.append(-contact.friction, -contact.tip)
-        pull = self._in_base(np.zeros((len(contact.lateral), len(at))), axial)
-        return np.asarray(torque + np.cross(arms, pull).sum(axis=0))
+        # r x F with r = (lateral, s) and F = (-q, -f): moments of both about x and y
+        deflection = self._bent(self._friction_at)
+        moment = -(contact.lateral @ contact.arclength)  # of lateral forces, per direction
+        moment += deflection @ contact.friction + self._tip_bent * contact.tip
+        torque = np.zeros(3)
+        torque[1] = moment[0]
+        if len(moment) == 2:
+            torque[0] = -moment[1]
+            held = self._bent(contact.arclength)
+            torque[2] = float(held[1] @ contact.lateral[0] - held[0] @ contact.lateral[1])
+        return torque
 
     @property
     def _friction_at(self) -> Vector:

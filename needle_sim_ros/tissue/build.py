@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
-from needle_sim_ros.geometry import Vector
+from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.dynamics import Dynamics, QuasiStatic
@@ -80,9 +81,16 @@ def _prepare(
     depths = np.arange(0.0, path.depth + 2 * spacing, spacing / 2)
     direction = plane_points(path.direction, scene.dimension)[0]
     center = plane_points(path.entry, scene.dimension)[0] + depths[:, None] * direction
-    across = np.linspace(-1.0, 1.0, 9) * scene.needle.radius * (1 - 1e-9)
-    normal = np.array([-direction[1], direction[0]])
-    places = (center[:, None, :] + across[None, :, None] * normal).reshape(-1, len(direction))
+    radius = scene.needle.radius * (1 - 1e-9)
+    # to the side to which the bevel steers, the path may go as far as the tip deviates
+    tip = scene.needle.tip
+    drift = math.tan(tip.deviation_angle) * math.cos(tip.roll) * depths
+    start, end = np.minimum(drift, 0.0) - radius, np.maximum(drift, 0.0) + radius
+    across = start[:, None] + np.linspace(0.0, 1.0, 13) * (end - start)[:, None]
+    quaternion = np.array(scene.base.orientation)
+    turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
+    aside = plane_points(turned[:, 0], scene.dimension)[0]
+    places = (center[:, None, :] + across[:, :, None] * aside).reshape(-1, len(direction))
     nodes, values, inside = model.shape_functions(places)
     touched = np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])
     compliance.prepare(touched, progress)
