@@ -13,10 +13,12 @@ from __future__ import annotations
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.model import TissueModel
 
 _CHORD, _CHORD_WEIGHT = np.polynomial.legendre.leggauss(8)
+# places along the track ahead of the tip at which its needs are foreseen
+_AHEAD = 8
 _ALONG, _ALONG_WEIGHT = np.polynomial.legendre.leggauss(3)
 
 
@@ -26,12 +28,14 @@ class Coupling:
     Parameters
     ----------
     model : TissueModel
+    compliance : NodalCompliance
+        Told what the track will touch.
     radius : float
         Needle radius r, m.
     """
 
-    def __init__(self, model: TissueModel, radius: float) -> None:
-        self._model, self._radius = model, radius
+    def __init__(self, model: TissueModel, compliance: NodalCompliance, radius: float) -> None:
+        self._model, self._compliance, self._radius = model, compliance, radius
 
     def hat(self, before: Vector, point: Vector, after: Vector) -> Footprint:
         """Return the footprint of a track point.
@@ -57,6 +61,15 @@ class Coupling:
         """Return the mean over one cross-section, perpendicular to a unit direction (d,)."""
         section, share = self._section(direction)
         return self._gather(point + section, share)
+
+    def expect(self, point: Vector, direction: Vector, reach: float) -> None:
+        """Have prepared what a track from a point along a unit direction will touch."""
+        steps = np.linspace(0.0, reach, _AHEAD)[:, None, None] * direction
+        section, _ = self._section(direction)
+        places = (point + steps + section[None, :, :]).reshape(-1, len(point))
+        nodes, values, inside = self._model.shape_functions(places)
+        touched = nodes[inside][np.abs(values[inside]) > 1e-12]
+        self._compliance.expect(np.unique(touched))
 
     def _section(self, direction: Vector) -> tuple[Vector, Vector]:
         normal = np.array([-direction[1], direction[0]])

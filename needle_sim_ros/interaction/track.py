@@ -18,6 +18,10 @@ from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseTable
 
 
+# track spacings ahead of the tip for which responses are prepared
+_FORESEEN = 12
+
+
 @dataclass(frozen=True)
 class Track:
     """Track points, their limits and their responses; immutable.
@@ -129,4 +133,5 @@ class TrackLayer:
             direction = direction / np.linalg.norm(direction)
         point = last + track.spacing * direction
         hat = self.coupling.hat(last, point, 2 * point - last)
+        self.coupling.expect(point, direction, _FORESEEN * track.spacing)
         return track._with(point, hat, self.laws, heading)

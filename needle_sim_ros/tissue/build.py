@@ -82,9 +82,9 @@ def _prepare(
     direction = plane_points(path.direction, scene.dimension)[0]
     center = plane_points(path.entry, scene.dimension)[0] + depths[:, None] * direction
     radius = scene.needle.radius * (1 - 1e-9)
-    # to the side to which the bevel steers, the path may go as far as the tip deviates
+    # to the side to which the bevel steers, with room for what the tissue adds
     tip = scene.needle.tip
-    drift = math.tan(tip.deviation_angle) * math.cos(tip.roll) * depths
+    drift = 2 * math.tan(tip.deviation_angle) * math.cos(tip.roll) * depths
     start, end = np.minimum(drift, 0.0) - radius, np.maximum(drift, 0.0) + radius
     across = start[:, None] + np.linspace(0.0, 1.0, 13) * (end - start)[:, None]
     quaternion = np.array(scene.base.orientation)

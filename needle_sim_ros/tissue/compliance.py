@@ -10,6 +10,7 @@ the one of the higher rank counts, so that not a bit depends on what was asked b
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,9 @@ class NodalCompliance:
         self._blocks = np.zeros((0, 0))
         self._read = np.zeros((readers.shape[0], 0))
         self._d = d
+        self._expected: dict[int, Future[Vector]] = {}
+        self._worker: ThreadPoolExecutor | None = None
+        self.waits = 0  # times that somebody had to wait for a solve
 
     @property
     def dimension(self) -> int:
@@ -108,7 +112,9 @@ class NodalCompliance:
         them, and none has to be solved again for it.
         """
         self._rank[np.unique(self._tile_of[nodes])] -= len(self._rank)
-        return self.ensure(nodes, progress)
+        count = self.ensure(nodes, progress)
+        self.waits = 0
+        return count
 
     def ensure(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Compute the responses of the tiles of `nodes` that are missing; return how many."""
@@ -126,6 +132,26 @@ class NodalCompliance:
                 progress(done + 1, len(tiles))
         return len(tiles)
 
+    def expect(self, nodes: Index) -> None:
+        """Start computing the responses that nodes will need, beside the ticks.
+
+        What they are does not depend on when they are computed, nor where.
+        """
+        for tile in np.unique(self._tile_of[nodes[self._slot[nodes] < 0]]):
+            if int(tile) not in self._expected:
+                if self._worker is None:
+                    self._worker = ThreadPoolExecutor(1, thread_name_prefix="tissue")
+                self._expected[int(tile)] = self._worker.submit(self._responses, int(tile))
+
+    def _responses(self, tile: int) -> Vector:
+        """Solve for unit forces on a tile's nodes; touches nothing that a tick changes."""
+        d, model, nodes = self._d, self._model, self._members(tile)
+        places = model.position_of[(d * nodes[:, None] + np.arange(d)).ravel()]
+        unit = np.zeros((len(model.free), d * len(nodes)), order="F")
+        loaded = np.flatnonzero(places >= 0)
+        unit[places[loaded], loaded] = 1.0
+        return self._factor.solve(unit)
+
     def _members(self, tile: int) -> Index:
         return self._order[self._bounds[tile] : self._bounds[tile + 1]]
 
@@ -138,12 +164,10 @@ class NodalCompliance:
     def _solve(self, tile: int) -> None:
         """Compute the responses of a tile's nodes at the kept nodes of no higher rank."""
         d, model, nodes = self._d, self._model, self._members(tile)
-        unknowns = (d * nodes[:, None] + np.arange(d)).ravel()
-        places = model.position_of[unknowns]
-        unit = np.zeros((len(model.free), d * len(nodes)), order="F")
-        loaded = np.flatnonzero(places >= 0)
-        unit[places[loaded], loaded] = 1.0
-        response = self._factor.solve(unit)
+        expected = self._expected.pop(tile, None)
+        if expected is None or not expected.done():
+            self.waits += 1
+        response = self._responses(tile) if expected is None else expected.result()
         slots = np.flatnonzero(self._rank[self._tile_of[self._kept]] <= self._rank[tile])
         rows = model.position_of[(d * self._kept[slots][:, None] + np.arange(d)).ravel()]
         block = np.where(rows[:, None] >= 0, response[rows], 0.0)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
@@ -23,6 +25,7 @@ class Factor:
     def __init__(self, matrix: sp.csr_array) -> None:
         self.size = int(matrix.shape[0])
         self.solves = 0
+        self._one_at_a_time = threading.Lock()
         try:
             self._lu = splu(
                 sp.csc_matrix(matrix),
@@ -35,5 +38,6 @@ class Factor:
 
     def solve(self, right: Vector) -> Vector:
         """Solve for one (n,) or many (n, k) right-hand sides."""
-        self.solves += 1 if right.ndim == 1 else right.shape[1]
-        return np.asarray(self._lu.solve(right))
+        with self._one_at_a_time:
+            self.solves += 1 if right.ndim == 1 else right.shape[1]
+            return np.asarray(self._lu.solve(right))
