@@ -53,12 +53,12 @@ def measure_loop(scene: Scene, record: bool, subscribe: bool) -> dict[str, Any]:
         place = Path(folder)
         (place / "scene.yaml").write_text(scene.to_yaml(), encoding="utf-8")
         parameters: dict[str, object] = {
-            "scene": place / "scene.yaml",
+            "scene": str(place / "scene.yaml"),
             "rate": 1.0 / scene.solver.time_step,
             "command_timeout": 0.0,
         }
         if record:
-            parameters["record"] = place / "bags"
+            parameters["record"] = str(place / "bags")
         domain = 1 + os.getpid() % 230
         with (
             NodeProcess(parameters, domain, place / "node.log") as node,
