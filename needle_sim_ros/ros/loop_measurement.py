@@ -18,7 +18,8 @@ from needle_sim_ros.ros.driver import Driver
 from needle_sim_ros.ros.node_process import NodeProcess
 from needle_sim_ros.scene import Scene
 
-_DIAGNOSTICS = 10.0  # s to wait for the last one
+_DIAGNOSTICS = 10.0  # s to wait for the next one
+_STARTS = 4  # times the driver's own patience: large meshes take long to prepare
 _OUTPUTS = {
     "tip_deflection": Vector3Stamped,
     "base_wrench": WrenchStamped,
@@ -52,18 +53,18 @@ def measure_loop(scene: Scene, record: bool, subscribe: bool) -> dict[str, Any]:
         place = Path(folder)
         (place / "scene.yaml").write_text(scene.to_yaml(), encoding="utf-8")
         parameters: dict[str, object] = {
-            "scene": place / "scene.yaml",
+            "scene": str(place / "scene.yaml"),
             "rate": 1.0 / scene.solver.time_step,
             "command_timeout": 0.0,
         }
         if record:
-            parameters["record"] = place / "bags"
+            parameters["record"] = str(place / "bags")
         domain = 1 + os.getpid() % 230
         with (
             NodeProcess(parameters, domain, place / "node.log") as node,
             _Watcher(domain, node.check) as watcher,
         ):
-            watcher.wait_ready()
+            watcher.wait_long()
             if subscribe:
                 watcher.subscribe()
             before = watcher.next_values()
@@ -95,6 +96,16 @@ class _Watcher(Driver):
             values = {pair.key: pair.value for pair in status.values}
             if "overruns" in values:
                 self._values = values
+
+    def wait_long(self) -> None:
+        """Wait until the node is ready, longer than a driver does."""
+        for attempt in range(1, _STARTS + 1):
+            try:
+                return self.wait_ready()
+            except NeedleSimError:
+                self._check()
+                if attempt == _STARTS:
+                    raise
 
     def subscribe(self) -> None:
         """Subscribe to the outputs and drop what comes."""
