@@ -7,7 +7,8 @@ import argparse
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
 from needle_sim_ros.commands.output import check_writable, progress, table, write_json
 from needle_sim_ros.commands.tables import summary_rows
-from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.errors import NeedleSimError, SessionError
 
 if TYPE_CHECKING:
     from needle_sim_ros.command import BaseCommand
@@ -32,9 +33,6 @@ EXAMPLES = (
     "demo --realtime --output demo",
     "demo --scene gao2016_steel --set solver.dynamics=quasi_static",
 )
-
-# Beyond 101 DDS ports fall into Linux' range of ephemeral ports; 0 is everybody's default.
-_DOMAINS = range(30, 101)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -61,11 +59,9 @@ def execute(args: argparse.Namespace) -> int:
     check_writable(args.json)
     output: Path = args.output.resolve()
     check_writable(output / "session.png")
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
-
     begin = time.perf_counter()
-    bag = _drive(args, output)
+    with _ended_as_by_ctrl_c(signal.SIGTERM, signal.SIGHUP):
+        bag = _drive(args, output)
     took = time.perf_counter() - begin
 
     from needle_sim_ros.commands.session_plot import plot_session
@@ -100,10 +96,11 @@ def _drive(args: argparse.Namespace, output: Path) -> Path:
 
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ.setdefault("ROS_LOG_DIR", str(output / "log"))
-    domain = _DOMAINS[os.getpid() % len(_DOMAINS)]
+    from needle_sim_ros.ros.domain import free_domain
     from needle_sim_ros.ros.driver import Driver
     from needle_sim_ros.ros.node_process import NodeProcess
 
+    domain = free_domain()
     with (
         NodeProcess(parameters, domain, output / "node.log") as node,
         Driver(domain, node.check) as driver,
@@ -116,7 +113,9 @@ def _drive(args: argparse.Namespace, output: Path) -> Path:
         follow = _in_real_time if args.realtime else _stepwise
         with progress(len(commands), f"{scene.name} over ROS 2") as bar:
             follow(driver, commands, step, bar.update)
-        driver.record(False)
+        ended = driver.record(False)
+    if " lost: " in ended:
+        raise SessionError(f"recording {ended}")
     return bag
 
 
@@ -147,9 +146,19 @@ def _in_real_time(
     driver.pause(True)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """End as on Ctrl-C, so that the node is ended too."""
-    raise KeyboardInterrupt
+@contextmanager
+def _ended_as_by_ctrl_c(*numbers: signal.Signals) -> Iterator[None]:
+    """Let these signals unwind as Ctrl-C does, so that the node is ended too."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _short(path: Path) -> Path:
