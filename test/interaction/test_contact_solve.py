@@ -109,7 +109,7 @@ def test_two_by_two_by_hand():
 
 def test_closed_bounds_hold_everything():
     """low == high for all: nothing to solve, the gradient is what the bounds carry."""
-    matrix, right, low, _ = random_problem(5, 12)
+    matrix, right, *_ = random_problem(5, 12)
     values = np.linspace(-1, 1, 12)
     found = solve_contact(matrix, right, values, values, np.zeros(12, dtype=np.int8))
     np.testing.assert_array_equal(found.x, values)
