@@ -109,7 +109,7 @@ def test_two_by_two_by_hand():
 
 def test_closed_bounds_hold_everything():
     """low == high for all: nothing to solve, the gradient is what the bounds carry."""
-    matrix, right, low, _ = random_problem(5, 12)
+    matrix, right, *_ = random_problem(5, 12)
     values = np.linspace(-1, 1, 12)
     found = solve_contact(matrix, right, values, values, np.zeros(12, dtype=np.int8))
     np.testing.assert_array_equal(found.x, values)
@@ -117,7 +117,9 @@ def test_closed_bounds_hold_everything():
 
 
 def test_no_load_no_force():
-    found = solve_contact(np.eye(3), np.zeros(3), -np.ones(3), np.ones(3), np.ones(3, dtype=np.int8))
+    found = solve_contact(
+        np.eye(3), np.zeros(3), -np.ones(3), np.ones(3), np.ones(3, dtype=np.int8)
+    )
     np.testing.assert_allclose(found.x, 0.0, atol=1e-15)
 
 
@@ -140,10 +142,12 @@ def contact_like(count, seed):
     distance = np.abs(at[:, None] - at[None, :])
     tissue = 5e-3 * np.exp(-distance / 0.01) + 2e-3 * np.eye(count)
     cross = 0.2 * tissue
-    matrix = np.block([
-        [tissue + flexibility(at, at, 1.65e-3), cross],
-        [cross.T, tissue + 1e-3 * np.eye(count)],
-    ])
+    matrix = np.block(
+        [
+            [tissue + flexibility(at, at, 1.65e-3), cross],
+            [cross.T, tissue + 1e-3 * np.eye(count)],
+        ]
+    )
     bound = np.full(count, 1.4e-2)
     inner = np.clip(bound * rng.choice([1.0, 1.0, 0.98, -1.0], count), -bound, bound)
     lateral = 1e-3 * rng.normal(size=count)

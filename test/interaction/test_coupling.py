@@ -61,7 +61,9 @@ def test_center(model, coupling, x, depth, angle):
     whole = coupling.hat(point - SPACING * along, point, point + SPACING * along)
     assert mean(model, whole, field) == pytest.approx(field(*point), abs=1e-12)
     half = coupling.hat(None, point, point + SPACING * along)
-    assert mean(model, half, field) == pytest.approx(field(*(point + SPACING / 3 * along)), abs=1e-12)
+    assert mean(model, half, field) == pytest.approx(
+        field(*(point + SPACING / 3 * along)), abs=1e-12
+    )
     section = coupling.section(point, along)
     assert mean(model, section, field) == pytest.approx(field(*point), abs=1e-12)
 

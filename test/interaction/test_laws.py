@@ -8,10 +8,23 @@ import pytest
 
 from needle_sim_ros.interaction.laws import Laws
 
-SLAB = {"name": "slab", "shape": "box", "center": [0, 0, -0.03], "size": [1, 1, 0.02],
-        "friction_static": 40.0, "friction_kinetic": 30.0, "cutting_force": 0.6}
-LUMP = {"name": "lump", "shape": "box", "center": [0, 0, -0.03], "size": [0.01, 1, 0.01],
-        "friction_kinetic": 15.0, "puncture_force": 0.9}
+SLAB = {
+    "name": "slab",
+    "shape": "box",
+    "center": [0, 0, -0.03],
+    "size": [1, 1, 0.02],
+    "friction_static": 40.0,
+    "friction_kinetic": 30.0,
+    "cutting_force": 0.6,
+}
+LUMP = {
+    "name": "lump",
+    "shape": "box",
+    "center": [0, 0, -0.03],
+    "size": [0.01, 1, 0.01],
+    "friction_kinetic": 15.0,
+    "puncture_force": 0.9,
+}
 
 
 @pytest.fixture

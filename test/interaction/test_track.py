@@ -11,8 +11,13 @@ from needle_sim_ros.tissue.build import build_tissue
 from needle_sim_ros.tissue.response import ResponseTable
 
 SPACING = 2e-3
-LAYER = {"name": "deep", "shape": "half_space", "center": [0, 0, -0.005],
-         "friction_static": 40.0, "friction_kinetic": 30.0}
+LAYER = {
+    "name": "deep",
+    "shape": "half_space",
+    "center": [0, 0, -0.005],
+    "friction_static": 40.0,
+    "friction_kinetic": 30.0,
+}
 DOWN, ASIDE = np.array([0.0, -1.0]), np.array([0.6, -0.8])
 
 

@@ -55,9 +55,7 @@ def error(element, ratio, solution, cells):
     u[free] = spsolve(sp.csc_matrix(stiffness[free][:, free]), (load - stiffness @ u)[free])
     total = 0.0
     for axis in (0, 1):
-        miss = skfem.Functional(
-            lambda w, a=axis: (w["u"] - solution(*w.x, lame, shear)[0][a]) ** 2
-        )
+        miss = skfem.Functional(lambda w, a=axis: (w["u"] - solution(*w.x, lame, shear)[0][a]) ** 2)
         total += miss.assemble(exactly, u=exactly.interpolate(u[axis::2]))
     return math.sqrt(total)
 

@@ -157,9 +157,14 @@ def test_linear_triangles_are_scikit_fems_own(ratio):
     )
 
 
-@pytest.mark.parametrize(("element", "shape"), [
-    ("quad2", skfem.ElementQuad2), ("quad1", skfem.ElementQuad1), ("tri2", skfem.ElementTriP2),
-])
+@pytest.mark.parametrize(
+    ("element", "shape"),
+    [
+        ("quad2", skfem.ElementQuad2),
+        ("quad1", skfem.ElementQuad1),
+        ("tri2", skfem.ElementTriP2),
+    ],
+)
 def test_without_a_volume_change_to_project_they_are_scikit_fems_own(element, shape):
     """At nu = 0 lambda is 0, nothing is projected, and K is plain full integration."""
     mesh = block(element, distort=bent)

@@ -40,7 +40,9 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("region", "within", "without"), CASES, ids=lambda c: getattr(c, "shape", ""))
+@pytest.mark.parametrize(
+    ("region", "within", "without"), CASES, ids=lambda c: getattr(c, "shape", "")
+)
 def test_shapes(region, within, without):
     """Points hand-picked just inside and just outside the boundary."""
     assert inside(region, np.array(within, dtype=float).T).all()
@@ -53,10 +55,21 @@ def test_the_plane_is_y_0():
 
 def test_later_regions_win_and_null_keeps(coarse_scene):
     """Upper layer, then an inclusion in it; where both lie the inclusion's own keys count."""
-    layer = {"name": "layer", "shape": "box", "center": [0, 0, -0.01], "size": [1, 1, 0.02],
-             "youngs_modulus": 30e3, "density": 900.0}
-    inclusion = {"name": "lump", "shape": "ellipsoid", "center": [0, 0, -0.015],
-                 "size": [0.01, 0.01, 0.01], "youngs_modulus": 60e3}
+    layer = {
+        "name": "layer",
+        "shape": "box",
+        "center": [0, 0, -0.01],
+        "size": [1, 1, 0.02],
+        "youngs_modulus": 30e3,
+        "density": 900.0,
+    }
+    inclusion = {
+        "name": "lump",
+        "shape": "ellipsoid",
+        "center": [0, 0, -0.015],
+        "size": [0.01, 0.01, 0.01],
+        "youngs_modulus": 60e3,
+    }
     field = MaterialField(coarse_scene({"tissue.regions": [layer, inclusion]}))
     places = np.array([[0.0, 0.03, 0.03], [-0.015, -0.015, -0.03]])
     material = field(places)

@@ -140,9 +140,15 @@ def test_graded_lines(band, spacing, growth, largest):
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3])
-@pytest.mark.parametrize(("element", "order"), [
-    ("quad2", 2), ("tri2", 2), ("quad1", 1), ("tri1", 1),
-])
+@pytest.mark.parametrize(
+    ("element", "order"),
+    [
+        ("quad2", 2),
+        ("tri2", 2),
+        ("quad1", 1),
+        ("tri1", 1),
+    ],
+)
 def test_sampling_reproduces_polynomials(coarse_scene, element, order, angle):
     """Linear fields with every element, quadratic ones with quadratic elements, sheared too."""
     model = TissueModel(coarse_scene(meshed(element, angle)))
