@@ -62,7 +62,10 @@ class Observation:
 
     @cached_property
     def _tip_bent(self) -> Vector:
-        return self._bent(np.array([self._scene.needle.length]))[:, 0]
+        # all forces act between clamp and tip: a = s_k, b = L in the flexibility
+        s, needle = self._contact.arclength, self._scene.needle
+        per_force = s * s * (3.0 * needle.length - s)
+        return np.asarray(self._contact.lateral @ per_force / (-6.0 * needle.flexural_rigidity))
 
     def _world(self, vectors: Vector) -> Vector:
         """Put vectors (..., d) of the mesh into the world (..., 3)."""

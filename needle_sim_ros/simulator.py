@@ -6,8 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,8 +36,7 @@ from needle_sim_ros.tissue.response import ResponseTable
 _STEEPEST = math.cos(math.radians(80))
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(NamedTuple):
     """Everything a simulation remembers; made and taken by :class:`Simulator`."""
 
     time: float
@@ -66,9 +64,7 @@ class Simulator:
     >>> obs = sim.step(BaseCommand(velocity=[0, 0, -3e-3]), dt=0.01)
     """
 
-    def __init__(
-        self, scene: Scene, progress: Callable[[int, int], None] | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, progress: Callable[[int, int], None] | None = None) -> None:
         self.scene = scene
         self.statistics = Statistics()
         built = build_tissue(scene, progress)
@@ -167,13 +163,14 @@ class Simulator:
             after,
             dt,
             prediction.rows,
-            lambda table, forces, footprint: footprint.weights
-            @ dynamics.at_nodes(tissue, table, forces, footprint.nodes),
+            lambda table, forces, footprint: (
+                footprint.weights @ dynamics.at_nodes(tissue, table, forces, footprint.nodes)
+            ),
         )
         contact = self._contact_laws.step(contact, step)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
-        if not np.isfinite(contact.forces).all() or not math.isfinite(contact.depth):
+        if not math.isfinite(float(contact.forces.sum()) + contact.depth):
             raise SolverError("the tick gave numbers that are not finite")
         return contact, tissue, step.advance
 
@@ -230,13 +227,13 @@ class Simulator:
             return
         if position[2] <= 0:
             raise CommandError(f"the base would enter the tissue, at z = {position[2]:g} m")
-        if state.contact.track is not None:
-            pose = (
-                BasePose.of(position, quaternion, scene.dimension)
-                if turned
-                else state.pose.moved_to(position)
-            )
-            aside = abs(pose.aside(state.contact.track.points[0])).max()
+        if state.contact.track is None:
+            return
+        pose = BasePose.of(position, quaternion, scene.dimension) if turned else state.pose
+        kept = position.tolist() if scene.dimension == 3 else position[::2].tolist()
+        away = [a - b for a, b in zip(kept, state.contact.track.points[0].tolist(), strict=True)]
+        for axis in pose.terms[:-1]:
+            aside = abs(sum(away[i] * c for i, c in axis))
             if aside > scene.needle.length / 2:
                 raise CommandError(
                     f"the base would be {aside:g} m beside the entry, more than half the needle"
@@ -245,8 +242,9 @@ class Simulator:
     def _parts(self, state: Snapshot, position: Vector, turning: Vector, dt: float) -> int:
         if self._own_step is not None:
             return round(dt / self._own_step)
-        if not (state.contact.inserted or state.contact.touching) and position[2] > (
-            state.position[2]
+        if (
+            not (state.contact.inserted or state.contact.touching)
+            and position[2] > (state.position[2])
         ):
             return 1
         advance = math.dist(position, state.position)
@@ -344,8 +342,12 @@ class Simulator:
         dict of ndarray
             One array per quantity, the tick first.
         """
-        unknown = [q for q in quantities if q.startswith("_") or not hasattr(Observation, q)
-                   and q not in Observation.__dataclass_fields__]
+        unknown = [
+            q
+            for q in quantities
+            if q.startswith("_")
+            or (not hasattr(Observation, q) and q not in Observation.__dataclass_fields__)
+        ]
         if unknown:
             raise CommandError(f"quantities = {unknown}: not members of Observation")
         series: dict[str, list[Any]] = {name: [] for name in quantities}
@@ -366,5 +368,5 @@ class Simulator:
         scene = self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
         contact = self._contact_laws.change_laws(Laws(scene), self._state.contact)
         self.scene = scene
-        self._state = replace(self._state, contact=contact)
+        self._state = self._state._replace(contact=contact)
         self._observation = None

@@ -13,8 +13,7 @@ C_n that of the needle, kappa the presliding stiffness and l_k the inserted leng
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,24 +36,20 @@ if TYPE_CHECKING:
 _LEAST = 1e-6
 
 
-@dataclass(frozen=True)
-class TipLimit:
+class TipLimit(NamedTuple):
     """Largest tip force, N, and the length over which the tip spreads it, m."""
 
     force: float
     spread: float
 
 
-@dataclass(frozen=True)
-class BalanceSolution:
+class BalanceSolution(NamedTuple):
     """Forces and kinematics of a step, the fields as in ContactState.
 
     Attributes
     ----------
     overlap : float
         How far the tip wants beyond the end of the track (negative: short of it), m.
-    slope : ndarray, shape (d - 1,)
-        Slopes of the needle at the tip.
     """
 
     active: int
@@ -71,12 +66,11 @@ class BalanceSolution:
     solves: int
     residual: float
     overlap: float
-    slope: Vector
 
     def fields(self) -> dict[str, Any]:
         """Return what goes into the state."""
-        fields = self.__dict__.copy()
-        del fields["overlap"], fields["slope"]
+        fields = self._asdict()
+        del fields["overlap"]
         return fields
 
 
@@ -99,11 +93,9 @@ class Balance:
         # lateral stiffness of the tissue per length of needle, N/m per m
         self._grip = tissue.youngs_modulus * (tissue.thickness if scene.dimension == 2 else 1.0)
 
-    def slope(self, state: ContactState) -> Vector:
-        """Return the needle's slopes at the tip in a state, shape (d - 1,)."""
-        return self._slope(state.arclength, state.lateral)
-
-    def _slope(self, arclength: Vector, lateral: Vector) -> Vector:
+    def slope(self, bent: ContactState | BalanceSolution) -> Vector:
+        """Return the needle's slopes at the tip, shape (d - 1,)."""
+        arclength, lateral = bent.arclength, bent.lateral
         if len(arclength) == 0:
             return np.zeros(len(lateral))
         per_force = beam.slope_flexibility(self._tip_at, arclength, self._rigidity)[0]
@@ -144,7 +136,6 @@ class Balance:
             solves=found.iterations,
             residual=float(np.abs(found.gradient[:m]).max()) / max(np.abs(right).max(), 1e-300),
             overlap=-float(found.gradient[m]) if force >= limit else 0.0,
-            slope=self._slope(self._tip_at, lateral),
         )
 
     def inserted(
@@ -230,7 +221,6 @@ class Balance:
             solves=found.solves,
             residual=found.residual,
             overlap=found.overlap,
-            slope=self._slope(problem.arclength, lateral),
         )
 
     def _softness(self, track: Track, behind: Vector, bevel: float) -> Vector:

@@ -9,8 +9,6 @@ bounded convex problem in the compliances of tissue and needle.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +35,6 @@ FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
 
 
-@dataclass(frozen=True)
 class Step:
     """What the base does in a step, and what the tissue would do by itself.
 
@@ -51,18 +48,18 @@ class Step:
         forces, (n, d).
     sample : callable
         Displacement (d,) of a footprint under forces on the rows of a table.
+    advance : float
+        How far the base moves along the needle, m.
     """
 
-    before: BasePose
-    after: BasePose
-    duration: float
-    free: FreeRows
-    sample: Sampler
+    __slots__ = ("advance", "after", "before", "duration", "free", "sample")
 
-    @cached_property
-    def advance(self) -> float:
-        """How far the base moves along the needle, m."""
-        return float(self.after.axial @ (self.after.origin - self.before.origin))
+    def __init__(
+        self, before: BasePose, after: BasePose, duration: float, free: FreeRows, sample: Sampler
+    ) -> None:
+        self.before, self.after, self.duration = before, after, duration
+        self.free, self.sample = free, sample
+        self.advance = float(after.axial @ (after.origin - before.origin))
 
 
 class Contact:
@@ -94,7 +91,7 @@ class Contact:
         self.laws = self._layer.laws = self._balance.laws = laws
         if state.track is None:
             return state
-        return replace(state, track=state.track.with_limits(laws))
+        return state._replace(track=state.track.with_limits(laws))
 
     def step(self, state: ContactState, step: Step) -> ContactState:
         """Return the state at the end of a step.
@@ -136,14 +133,13 @@ class Contact:
                 )
             return self._released(state, step)
         if self._meets_channel(state, entry):
-            return replace(self._released(state, step), inserted=True, depth=0.0, rate=0.0)
+            return self._released(state, step)._replace(inserted=True, depth=0.0, rate=0.0)
         # a free tip below the surface is in the dent that it left (dynamics), or underneath
         if starts[-1] < -2 * self._half[-1]:
             raise CommandError(f"the tip would enter the tissue from below, at {ends.tolist()} m")
         track = self._layer.touch(entry, step.after.axial)
         fresh = self.at_rest()
-        return replace(
-            fresh,
+        return fresh._replace(
             track=track,
             touching=True,
             moved=np.zeros((1, self._dimension)),
@@ -153,19 +149,17 @@ class Contact:
     def _meets_channel(self, state: ContactState, entry: Vector) -> bool:
         if state.track is None or state.front <= 0:
             return False
-        return bool(
-            np.linalg.norm(entry - state.track.points[0]) <= self._scene.needle.radius
-        )
+        return bool(np.linalg.norm(entry - state.track.points[0]) <= self._scene.needle.radius)
 
     def _released(self, state: ContactState, step: Step) -> ContactState:
         track = state.track
         if track is not None and state.front <= 0:
             track = None
-        rest = replace(self.at_rest(), track=track, front=state.front if track else 0.0)
+        rest = self.at_rest()._replace(track=track, front=state.front if track else 0.0)
         if track is None:
             return rest
         zero = np.zeros_like(track.points)
-        return replace(rest, moved=step.free(track.table), forces=zero)
+        return rest._replace(moved=step.free(track.table), forces=zero)
 
     # --------------------------------------------------------------- before the puncture
     def _press(self, state: ContactState, step: Step) -> ContactState:
@@ -174,16 +168,16 @@ class Contact:
         limit = self.laws.at(state.track.points[0]).puncture
         solution = self._balance.touch(state.track, step.after, step.free(state.track.table), limit)
         if solution.tip <= 0 and solution.overlap <= 0:
-            return self._released(replace(state, front=0.0), step)
+            return self._released(state._replace(front=0.0), step)
         if solution.overlap <= 0:
-            return replace(state, **solution.fields(), touching=True)
+            return state._replace(**solution.fields(), touching=True)
         # the surface breaks: the same step goes on with a track
-        direction = self._heading(step, state.track, solution.slope, state.forces, 0.0)
+        slope = self._balance.slope(solution)
+        direction = self._heading(step, state.track, slope, state.forces, 0.0)
         track = self._layer.extend(state.track, direction)
         wider = np.zeros_like(track.points)
         wider[:1] = state.moved
-        return replace(
-            self.at_rest(),
+        return self.at_rest()._replace(
             track=track,
             inserted=True,
             moved=wider,
@@ -206,11 +200,10 @@ class Contact:
         track, moved, forces = state.track, state.moved, state.forces
         strain, slip = state.strain, state.slip
         solves = 0
-        slope = None
         solution = None
         for _ in range(_MOST_ROUNDS):
             while depth >= (track.count - 1) * track.spacing:
-                slope = self._balance.slope(state) if slope is None else slope
+                slope = self._balance.slope(solution or state)
                 direction = self._heading(step, track, slope, forces, depth)
                 track = self._extended(track, direction)
             moved = _known(moved, forces, track, step)
@@ -219,7 +212,7 @@ class Contact:
                 track, step, moved, strain, slip, state.status, depth, limit
             )
             solves += solution.solves
-            forces, slope = solution.forces, solution.slope
+            forces = solution.forces
             change = solution.overlap / float(step.after.axial @ track.direction(depth))
             if engaged:
                 settled = abs(change) <= _SETTLED * track.spacing
@@ -259,7 +252,7 @@ class Contact:
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
         zero = np.zeros_like(track.points)
         moved = step.free(track.table)
-        return replace(self.at_rest(), track=track, front=front, moved=moved, forces=zero)
+        return self.at_rest()._replace(track=track, front=front, moved=moved, forces=zero)
 
     def _tip_limit(
         self,
@@ -273,7 +266,7 @@ class Contact:
         """Return what the tip bears: cutting while it advances, less and less in a hold."""
         if not engaged:
             return TipLimit(0.0, self._bevel)
-        local = self.laws.at(track.at(front))
+        local = self.laws.at(track.at(front) if self.laws.vary else track.points[0])
         cutting = self.laws.cutting(local.cutting, front)
         if front < self._bevel:
             cutting += self.laws.opening(self.laws.at(track.points[0]), front, self._bevel)
@@ -283,7 +276,9 @@ class Contact:
 
     def _extended(self, track: Track, direction: Vector) -> Track:
         point = track.points[-1] + track.spacing * direction
-        if (np.abs(point[:-1]) > self._half[:-1]).any() or not -2 * self._half[-1] <= point[-1] <= 0:
+        if (np.abs(point[:-1]) > self._half[:-1]).any() or not -2 * self._half[-1] <= point[
+            -1
+        ] <= 0:
             raise CommandError(f"the tip would leave the tissue at {point.tolist()} m")
         return self._layer.extend(track, direction)
 

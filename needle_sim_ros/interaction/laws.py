@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -43,17 +43,25 @@ class Laws:
     def __init__(self, scene: Scene) -> None:
         self.interaction: Interaction = scene.interaction
         self._regions: tuple[Region, ...] = scene.tissue.regions
+        self.vary = bool(self._regions)
+        self._common = self._outside()
+
+    def _outside(self) -> LocalLaws:
+        """Return the limits where there is no region."""
+        friction, cutting = self.interaction.friction, self.interaction.cutting
+        puncture = self.interaction.puncture.force
+        return LocalLaws(
+            friction.static,
+            friction.kinetic,
+            cutting.force,
+            cutting.force if puncture is None else puncture,
+        )
 
     def at(self, point: Vector) -> LocalLaws:
         """Return the limits at a point of the mesh, shape (d,)."""
-        friction, cutting = self.interaction.friction, self.interaction.cutting
-        puncture = self.interaction.puncture.force
-        limits = {
-            "static": friction.static,
-            "kinetic": friction.kinetic,
-            "cutting": cutting.force,
-            "puncture": cutting.force if puncture is None else puncture,
-        }
+        if not self.vary:
+            return self._common
+        limits = asdict(self._common)
         world = in_space(point)
         for region in self._regions:
             if not inside(region, world):

@@ -9,6 +9,7 @@ bounded solve; where the check fails, the bounded problem is solved in full.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,7 @@ from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.needle import beam
 
 
-@dataclass(frozen=True)
-class TrackForces:
+class TrackForces(NamedTuple):
     """Solution, members as in ContactState.
 
     Attributes
@@ -48,7 +48,7 @@ class TrackForces:
     solves: int
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class SlidingProblem:
     """Minimise the complementary energy over the forces, within their bounds.
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.track import Track
 
-
-def _none() -> Vector:
-    return np.empty(0)
+_NONE = np.empty(0)
 
 
-@dataclass(frozen=True)
-class ContactState:
+class ContactState(NamedTuple):
     """State of the contact after a step.
 
     Attributes
@@ -73,15 +70,15 @@ class ContactState:
     rate: float = 0.0
     heading: int = 0
     active: int = 0
-    lateral: Vector = field(default_factory=lambda: np.empty((1, 0)))
-    friction: Vector = field(default_factory=_none)
+    lateral: Vector = np.empty((1, 0))
+    friction: Vector = _NONE
     tip: float = 0.0
-    arclength: Vector = field(default_factory=_none)
-    share: Vector = field(default_factory=_none)
-    strain: Vector = field(default_factory=_none)
-    slip: Vector = field(default_factory=_none)
-    moved: Vector = field(default_factory=lambda: np.empty((0, 2)))
-    forces: Vector = field(default_factory=lambda: np.empty((0, 2)))
-    status: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, dtype=np.int8))
+    arclength: Vector = _NONE
+    share: Vector = _NONE
+    strain: Vector = _NONE
+    slip: Vector = _NONE
+    moved: Vector = np.empty((0, 2))
+    forces: Vector = np.empty((0, 2))
+    status: NDArray[np.int8] = np.empty(0, dtype=np.int8)
     solves: int = 0
     residual: float = 0.0

@@ -17,7 +17,6 @@ from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseTable
 
-
 # track spacings ahead of the tip for which responses are prepared
 _FORESEEN = 12
 

@@ -87,7 +87,7 @@ class NodalCompliance:
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """D."""
         return self._d
 
     @property

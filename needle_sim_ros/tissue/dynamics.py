@@ -42,9 +42,7 @@ class Dynamics(Protocol):
         """Start a step."""
         ...
 
-    def complete(
-        self, state: Any, prediction: Any, table: ResponseTable, forces: Vector
-    ) -> Any:
+    def complete(self, state: Any, prediction: Any, table: ResponseTable, forces: Vector) -> Any:
         """End a step with forces (n, d) on the rows of a table; return the new state."""
         ...
 

@@ -85,8 +85,13 @@ def assemble(
         here = dofs[:, part]
         wide = (d * here[:, None, :] + np.arange(d)[None, :, None]).reshape(-1, here.shape[1])
         stiffness = stiffness + _scatter(block, wide, d * nodes)
-        small = np.einsum("ieq,jeq,eq->eij", value[:, part], value[:, part],
-                          cut.density * basis.dx[part], optimize=True)
+        small = np.einsum(
+            "ieq,jeq,eq->eij",
+            value[:, part],
+            value[:, part],
+            cut.density * basis.dx[part],
+            optimize=True,
+        )
         mass = mass + _scatter(small, here, nodes)
     return stiffness, mass
 

@@ -171,8 +171,14 @@ def _unit(vector: Vector) -> Vector:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def graded(low: float, high: float, fine: tuple[float, float], spacing: float, growth: float,
-           largest: float) -> Vector:
+def graded(
+    low: float,
+    high: float,
+    fine: tuple[float, float],
+    spacing: float,
+    growth: float,
+    largest: float,
+) -> Vector:
     """Return lines from `low` to `high`: `spacing` apart within `fine`, growing outwards."""
     left, right = max(fine[0], low), min(fine[1], high)
     # no slivers between the band and an end
@@ -229,20 +235,33 @@ def build_mesh(scene: Scene) -> TissueMesh:
             lateral.append(Lines(at, np.zeros(len(at))))
             continue
         center = float(path.entry[axis])
-        at = graded(-half, half, (center - band, center + band), across, mesh.growth,
-                    max(largest, across))
+        at = graded(
+            -half, half, (center - band, center + band), across, mesh.growth, max(largest, across)
+        )
         slope = float(path.direction[axis] / -path.direction[2])
-        outward = np.where(at < center, (at + half) / max(center + half - band, 1e-12),
-                           (half - at) / max(half - center - band, 1e-12))
+        outward = np.where(
+            at < center,
+            (at + half) / max(center + half - band, 1e-12),
+            (half - at) / max(half - center - band, 1e-12),
+        )
         lateral.append(Lines(at, slope * np.clip(outward, 0.0, 1.0)))
         if (np.diff(at + lateral[-1].drift * floor) <= 0).any():
-            raise SceneError("base.orientation", list(scene.base.orientation),
-                             "so inclined that the planned path comes too close to a side")
+            raise SceneError(
+                "base.orientation",
+                list(scene.base.orientation),
+                "so inclined that the planned path comes too close to a side",
+            )
     if mesh.uniform:
         levels = np.linspace(-floor, 0.0, max(2, round(floor / along)) + 1)
     else:
-        levels = graded(-floor, 0.0, (-min(depth + 3 * along, floor), 0.0), along, mesh.growth,
-                        max(largest, along))
+        levels = graded(
+            -floor,
+            0.0,
+            (-min(depth + 3 * along, floor), 0.0),
+            along,
+            mesh.growth,
+            max(largest, along),
+        )
     if scene.dimension == 3:
         raise SceneError("dimension", 3, "must be 2 in this version")
     return _quadrilaterals(lateral[0], levels, mesh.element.startswith("quad"))

@@ -115,7 +115,9 @@ class TissueModel:
     def _local_nodes(self) -> tuple[Index, ...]:
         steps = 2 if self.scene.tissue.mesh.element == "quad2" else 1
         where = np.asarray(self.basis.elem.doflocs, dtype=float)
-        return tuple(np.rint(steps * where[:, axis]).astype(np.intp) for axis in range(where.shape[1]))
+        return tuple(
+            np.rint(steps * where[:, axis]).astype(np.intp) for axis in range(where.shape[1])
+        )
 
     def sampling(self, points: Vector) -> sp.csr_array:
         """Return the matrix, shape (k d, free), that samples displacements at points (k, d)."""

@@ -65,9 +65,7 @@ class NewmarkRule:
         """Return what M and what C multiply on the right of Eq. (4)."""
         dt, delta, xi = self.step, self.delta, self.xi
         inertia = u / (xi * dt**2) + v / (xi * dt) + (0.5 / xi - 1.0) * a
-        damping = (
-            delta / (xi * dt) * u + (delta / xi - 1.0) * v + (0.5 * delta / xi - 1.0) * dt * a
-        )
+        damping = delta / (xi * dt) * u + (delta / xi - 1.0) * v + (0.5 * delta / xi - 1.0) * dt * a
         return inertia, damping
 
     def rates(self, new: Vector, u: Vector, v: Vector, a: Vector) -> tuple[Vector, Vector]:

@@ -10,7 +10,7 @@ modes times track points, whatever the mesh.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
@@ -25,19 +25,15 @@ from needle_sim_ros.tissue.newmark import NewmarkRule
 from needle_sim_ros.tissue.response import ModalPart, ResponseTable
 
 
-@dataclass(frozen=True)
-class ModalMotion:
-    """Modal displacement, velocity, acceleration; filtered and last forces, (n, d) each."""
+class ModalMotion(NamedTuple):
+    """Modal displacement, velocity, acceleration (3, m); filtered and last forces, (n, d)."""
 
-    u: Vector
-    v: Vector
-    a: Vector
+    modal: Vector
     filtered: Vector
     forces: Vector
 
 
-@dataclass(frozen=True)
-class ModalPrediction:
+class ModalPrediction(NamedTuple):
     """Modal displacement and filtered forces at the end of a step without contact forces."""
 
     u: Vector
@@ -96,6 +92,17 @@ class ReducedNewmark:
             self.eigenvalues + 1.0 / (rule.xi * rule.step**2) + stiff * self._damping
         )
         self._flexibility = 1.0 / self.eigenvalues
+        # the rule is linear in u, v, a: its coefficients, read off unit states
+        one, zero = np.ones(1), np.zeros(1)
+        units = [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
+        history = [rule.history(*unit) for unit in units]
+        self._carry = np.array(
+            [self._dynamic * (float(m[0]) + self._damping * float(c[0])) for m, c in history]
+        )
+        kept = [rule.rates(zero, *unit) for unit in units]
+        self._rates_of_old = np.array([[0.0] * 3, *np.array(kept)[:, :, 0].T])
+        made = rule.rates(one, zero, zero, zero)
+        self._rates_of_new = np.array([[1.0], made[0], made[1]])
         ratio = np.inf if rule.beta == 0 else rule.step / rule.beta
         weight = 1.0 + rule.delta * ratio
         self._share = 1.0 if rule.beta == 0 else rule.delta * ratio / weight
@@ -108,29 +115,29 @@ class ReducedNewmark:
 
     def initial(self) -> ModalMotion:
         """At rest."""
-        zero, none = np.zeros(len(self.eigenvalues)), np.zeros((0, self._model.dimension))
-        return ModalMotion(zero, zero, zero, none, none)
+        none = np.zeros((0, self._model.dimension))
+        return ModalMotion(np.zeros((3, len(self.eigenvalues))), none, none)
 
     def predict(self, state: ModalMotion) -> ModalPrediction:
-        """Move the modes without load at the end of the step."""
-        inertia, damping = self.rule.history(state.u, state.v, state.a)
-        u = self._dynamic * (inertia + self._damping * damping)
+        """Move the modes without load at the end of the step (Eq. 4, mode by mode)."""
+        u = np.einsum("im,im->m", self._carry, state.modal)
         filtered = self._of_filtered * state.filtered + self._of_forces * state.forces
         return ModalPrediction(u, filtered, self._flexibility)
 
     def complete(
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
     ) -> ModalMotion:
-        """Load the modes and the filter with the contact forces."""
+        """Load the modes and the filter with the contact forces (Eqs. 2 and 3)."""
         u = prediction.u + self._dynamic * (table.modal() @ forces.ravel())
-        v, a = self.rule.rates(u, state.u, state.v, state.a)
+        modal = self._rates_of_old @ state.modal
+        modal += self._rates_of_new * u
         filtered = self._share * forces + _widened(prediction.filtered, table.count)
-        return ModalMotion(u, v, a, filtered, forces)
+        return ModalMotion(modal, filtered, forces)
 
     def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
         filtered = _widened(state.filtered, table.count)
         static = table.modal() @ filtered.ravel()
-        return filtered, state.u - self._flexibility * static
+        return filtered, state.modal[0] - self._flexibility * static
 
     def at_nodes(
         self, state: ModalMotion, table: ResponseTable, forces: Vector, nodes: Index
