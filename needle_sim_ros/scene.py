@@ -233,7 +233,9 @@ class Scene:
             above = (0.0, 0.0, self.needle.length + 0.01)
             object.__setattr__(self, "base", Base(above, self.base.orientation))
         if self.tissue.fixed is None:
-            sides = ("left", "right", "bottom") + (("front", "back") if self.dimension == 3 else ())
+            sides: tuple[Face, ...] = ("left", "right", "bottom") + (
+                ("front", "back") if self.dimension == 3 else ()
+            )
             object.__setattr__(self, "tissue", replace(self.tissue, fixed=sides))
         if self.interaction.puncture.force is None:
             broken = Puncture(self.interaction.cutting.force)

@@ -231,5 +231,5 @@ def _protocol(scene: Scene) -> None:
         raise SceneError(
             "needle.length",
             length,
-            f"too short for the protocol: the tip never reaches the tissue, {-worst:g} m are missing",
+            f"too short for the protocol: the tip stays {-worst:g} m above the tissue",
         )

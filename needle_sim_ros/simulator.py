@@ -71,7 +71,7 @@ class Simulator:
         self._model, self._factor, self._dynamics = built.model, built.factor, built.dynamics
         empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
         self._empty = empty
-        coupling = Coupling(self._model, self._dynamics.compliance, scene.needle.radius)
+        coupling = Coupling(self._model, scene.needle.radius)
         laws = Laws(scene)
         layer = TrackLayer(coupling, laws, empty, scene.solver.track_spacing)
         self._contact_laws = Contact(scene, layer, laws)

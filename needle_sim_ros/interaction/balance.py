@@ -168,7 +168,9 @@ class Balance:
         h, m = track.spacing, len(pose.lateral)
         last = min(int(depth / h), track.count - 2)  # the last point that the tip has passed
         n = last + 2  # rows: the points passed and the one ahead of the tip
-        behind = depth - h * np.arange(last + 1)  # the tip is so far beyond each point
+        behind: Vector = depth - h * np.arange(
+            last + 1, dtype=float
+        )  # the tip is so far beyond each point
         held = max(1, last + (behind[-1] > _LEAST * h))
         length = coverage(depth, n, h)
         share = tip_share(length, depth, limit.spread, h)

@@ -3,9 +3,10 @@
 
 P_k u = int phi_k <u> ds / int phi_k ds, with phi_k the hat function of track point k and
 <u> the mean over the cross-section perpendicular to the track: in 2D the chord of length
-2 r. The entry has no hat above the surface: it takes the cross-section itself. The same operator samples displacement (K_StoP, Eqs. 18 and 19) and spreads force
-(K_PtoS, its transpose, Eqs. 20 and 21), so action and reaction agree, and a limit under
-refinement exists, which point forces do not have.
+2 r. The entry has no hat above the surface: it takes the cross-section itself. The same
+operator samples displacement (K_StoP, Eqs. 18 and 19) and spreads force (K_PtoS, its
+transpose, Eqs. 20 and 21), so action and reaction agree, and a limit under refinement
+exists, which point forces do not have.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 
 _CHORD, _CHORD_WEIGHT = np.polynomial.legendre.leggauss(8)
@@ -28,14 +30,12 @@ class Coupling:
     Parameters
     ----------
     model : TissueModel
-    compliance : NodalCompliance
-        Told what the track will touch.
     radius : float
         Needle radius r, m.
     """
 
-    def __init__(self, model: TissueModel, compliance: NodalCompliance, radius: float) -> None:
-        self._model, self._compliance, self._radius = model, compliance, radius
+    def __init__(self, model: TissueModel, radius: float) -> None:
+        self._model, self._radius = model, radius
 
     def hat(self, before: Vector, point: Vector, after: Vector) -> Footprint:
         """Return the footprint of a track point.
@@ -62,14 +62,14 @@ class Coupling:
         section, share = self._section(direction)
         return self._gather(point + section, share)
 
-    def expect(self, point: Vector, direction: Vector, reach: float) -> None:
-        """Have prepared what a track from a point along a unit direction will touch."""
+    def ahead(self, point: Vector, direction: Vector, reach: float) -> Index:
+        """Return the nodes that a track from a point along a unit direction will touch."""
         steps = np.linspace(0.0, reach, _AHEAD)[:, None, None] * direction
         section, _ = self._section(direction)
         places = (point + steps + section[None, :, :]).reshape(-1, len(point))
         nodes, values, inside = self._model.shape_functions(places)
         touched = nodes[inside][np.abs(values[inside]) > 1e-12]
-        self._compliance.expect(np.unique(touched))
+        return np.unique(touched)
 
     def _section(self, direction: Vector) -> tuple[Vector, Vector]:
         normal = np.array([-direction[1], direction[0]])

@@ -132,5 +132,6 @@ class TrackLayer:
             direction = direction / np.linalg.norm(direction)
         point = last + track.spacing * direction
         hat = self.coupling.hat(last, point, 2 * point - last)
-        self.coupling.expect(point, direction, _FORESEEN * track.spacing)
+        ahead = self.coupling.ahead(point, direction, _FORESEEN * track.spacing)
+        track.table.compliance.expect(ahead)
         return track._with(point, hat, self.laws, heading)

@@ -87,7 +87,7 @@ class NodalCompliance:
 
     @property
     def dimension(self) -> int:
-        """D."""
+        """Number of coordinates d."""
         return self._d
 
     @property

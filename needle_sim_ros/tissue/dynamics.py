@@ -32,7 +32,11 @@ class Dynamics(Protocol):
     """What the contact and the observation need of the tissue."""
 
     compliance: NodalCompliance
-    modes: ModalPart | None
+
+    @property
+    def modes(self) -> ModalPart | None:
+        """Modes that amend the compliance of a step."""
+        ...
 
     def initial(self) -> Any:
         """Return the state at rest."""
