@@ -3,23 +3,28 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped, WrenchStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 
 from needle_sim_ros.errors import NeedleSimError
-from needle_sim_ros.ros.driver import Driver
+from needle_sim_ros.ros.domain import free_domain
 from needle_sim_ros.ros.node_process import NodeProcess
-from needle_sim_ros.scene import Scene
+from needle_sim_ros.scene import Scene, Segment
 
+_START = 120.0  # s; large meshes take long to prepare
 _DIAGNOSTICS = 10.0  # s to wait for the next one
-_STARTS = 4  # times the driver's own patience: large meshes take long to prepare
+_STAGE_PERIOD = 0.02  # s between commands
 _OUTPUTS = {
     "tip_deflection": Vector3Stamped,
     "base_wrench": WrenchStamped,
@@ -36,7 +41,7 @@ def measure_loop(scene: Scene, record: bool, subscribe: bool) -> dict[str, Any]:
     record : bool
         Record the session meanwhile.
     subscribe : bool
-        Subscribe to the outputs in this process.
+        Subscribe to the outputs in this process; else only to the diagnostics.
 
     Returns
     -------
@@ -55,23 +60,19 @@ def measure_loop(scene: Scene, record: bool, subscribe: bool) -> dict[str, Any]:
         parameters: dict[str, object] = {
             "scene": str(place / "scene.yaml"),
             "rate": 1.0 / scene.solver.time_step,
-            "command_timeout": 0.0,
         }
         if record:
             parameters["record"] = str(place / "bags")
-        domain = 1 + os.getpid() % 230
-        with (
-            NodeProcess(parameters, domain, place / "node.log") as node,
-            _Watcher(domain, node.check) as watcher,
-        ):
-            watcher.wait_long()
-            if subscribe:
-                watcher.subscribe()
-            before = watcher.next_values()
-            for segment in scene.protocol:
-                watcher.deliver(segment.velocity, segment.angular_velocity)
-                watcher.spin(segment.duration)
-            after = watcher.next_values()
+        domain = free_domain()
+        with NodeProcess(parameters, domain, place / "node.log") as node:
+            stage = _Stage(domain, node.check, subscribe)
+            try:
+                before = stage.next_values(_START)
+                for segment in scene.protocol:
+                    stage.follow(segment)
+                after = stage.next_values(_DIAGNOSTICS)
+            finally:
+                stage.close()
     return {
         "ticks": int(after["ticks"]) - int(before["ticks"]),
         "overruns": int(after["overruns"]) - int(before["overruns"]),
@@ -82,42 +83,60 @@ def measure_loop(scene: Scene, record: bool, subscribe: bool) -> dict[str, Any]:
     }
 
 
-class _Watcher(Driver):
-    """A driver that keeps what the node says about its loop."""
+class _Stage:
+    """Publishes stage velocities and keeps what the node says about its loop."""
 
-    _values: dict[str, str] | None = None
+    def __init__(self, domain: int, check: Callable[[], None], subscribe: bool) -> None:
+        self._check = check
+        self._values: dict[str, str] | None = None
+        self._context = Context()
+        rclpy.init(
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._node = rclpy.create_node("needle_sim_stage", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._publisher = self._node.create_publisher(TwistStamped, "stage_velocity", 10)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
+        for topic, kind in _OUTPUTS.items() if subscribe else ():
+            self._node.create_subscription(kind, topic, lambda _: None, 10)
 
-    def __enter__(self) -> _Watcher:
-        return self
+    def follow(self, segment: Segment) -> None:
+        """Command the twist of a segment of the protocol for its duration."""
+        message = TwistStamped()
+        linear, angular = message.twist.linear, message.twist.angular
+        linear.x, linear.y, linear.z = map(float, segment.velocity)
+        angular.x, angular.y, angular.z = map(float, segment.angular_velocity)
+        end = time.monotonic() + segment.duration
+        while time.monotonic() < end:
+            self._publisher.publish(message)
+            self._spin(min(end, time.monotonic() + _STAGE_PERIOD))
+
+    def next_values(self, patience: float) -> dict[str, str]:
+        """Wait for the next diagnostics of the loop and return its values."""
+        self._values = None
+        deadline = time.monotonic() + patience
+        while self._values is None:
+            self._spin(time.monotonic() + _STAGE_PERIOD)
+            if time.monotonic() > deadline:
+                raise NeedleSimError(f"the node sent no diagnostics within {patience:g} s")
+        return self._values
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _spin(self, until: float) -> None:
+        self._check()
+        while (left := until - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
 
     def _diagnosed(self, message: DiagnosticArray) -> None:
-        super()._diagnosed(message)
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             if "overruns" in values:
                 self._values = values
-
-    def wait_long(self) -> None:
-        """Wait until the node is ready, longer than a driver does."""
-        for attempt in range(1, _STARTS + 1):
-            try:
-                return self.wait_ready()
-            except NeedleSimError:
-                self._check()
-                if attempt == _STARTS:
-                    raise
-
-    def subscribe(self) -> None:
-        """Subscribe to the outputs and drop what comes."""
-        for topic, kind in _OUTPUTS.items():
-            self._node.create_subscription(kind, topic, lambda _: None, 10)
-
-    def next_values(self) -> dict[str, str]:
-        """Wait for the next diagnostics of the loop and return its values."""
-        self._values = None
-        deadline = time.monotonic() + _DIAGNOSTICS
-        while self._values is None:
-            self.spin(0.05)
-            if time.monotonic() > deadline:
-                raise NeedleSimError(f"the node sent no diagnostics within {_DIAGNOSTICS:g} s")
-        return self._values
