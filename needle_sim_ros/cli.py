@@ -13,7 +13,9 @@ import os
 import sys
 from collections.abc import Sequence
 
+from needle_sim_ros import __version__
 from needle_sim_ros.commands import Command, load_all
+from needle_sim_ros.commands.options import examples
 from needle_sim_ros.errors import NeedleSimError
 
 EXIT_ERROR = 2
@@ -30,6 +32,7 @@ def build_parser() -> argparse.ArgumentParser:
         description=DESCRIPTION,
         epilog="needle_sim COMMAND --help shows each command's options with examples.",
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in load_all():
         _add(subparsers, command)
@@ -37,12 +40,11 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser], command: Command) -> None:
-    examples = "\n".join(f"  needle_sim {line}" for line in command.EXAMPLES)
     parser = subparsers.add_parser(
         command.NAME,
         help=command.HELP,
         description=command.DESCRIPTION,
-        epilog=f"examples:\n{examples}",
+        epilog=examples(command.EXAMPLES),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.configure(parser)
@@ -62,8 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # ν and µ on an ASCII terminal
-    args = build_parser().parse_args(argv)
     try:
+        args = build_parser().parse_args(argv)
         status = int(args.execute(args))
         sys.stdout.flush()
         return status

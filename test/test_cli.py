@@ -45,12 +45,12 @@ def files(tmp_path):
         ("run gao2016 --set =1", "must be KEY=VALUE"),
         ("run gao2016 --set tissue.size=[1", "not a YAML value"),
         ("run gao2016 --set protocol=[]", "protocol"),
-        ("run gao2016 --json {0}/file/out.json", "cannot write"),
+        ("run gao2016 --json {0}/file/out.json", "{0}/file is not a folder"),
         ("run gao2016 --json {0}/folder", "it is a folder"),
         ("run gao2016 --plot {0}/out.gif", "must end in .png, .svg, .pdf"),
         ("run gao2016 --plot {0}/file/out.png", "cannot write"),
         ("run gao2016 --record {0}/folder", "exists"),
-        ("run gao2016 --record {0}/file/bag", "cannot record"),
+        ("run gao2016 --record {0}/file/bag", "is not a folder"),
         ("plot {0}/missing --output {0}/out.png", "no such session"),
         ("plot {0}/folder --output {0}/out.png", "no MCAP file"),
         ("demo --output {0}/file", "cannot write"),
@@ -62,7 +62,7 @@ def test_a_mistake_is_one_line_on_stderr_and_status_2(files, capsys, monkeypatch
     assert main(line.format(files).split()) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert words in printed.err
+    assert words.format(files) in printed.err
     assert printed.err.count("\n") == 1 and printed.err.startswith("needle_sim: ")
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
+import shutil
+import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
+from needle_sim_ros.commands.interruption import Interruption
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
 from needle_sim_ros.commands.output import check_writable, progress, table, write_json
 from needle_sim_ros.commands.tables import summary_rows
@@ -60,8 +60,8 @@ def execute(args: argparse.Namespace) -> int:
     output: Path = args.output.resolve()
     check_writable(output / "session.png")
     begin = time.perf_counter()
-    with _ended_as_by_ctrl_c(signal.SIGTERM, signal.SIGHUP):
-        bag = _drive(args, output)
+    with Interruption() as interruption:
+        bag = _drive(args, output, interruption)
     took = time.perf_counter() - begin
 
     from needle_sim_ros.commands.session_plot import plot_session
@@ -77,7 +77,7 @@ def execute(args: argparse.Namespace) -> int:
     return 0
 
 
-def _drive(args: argparse.Namespace, output: Path) -> Path:
+def _drive(args: argparse.Namespace, output: Path, interruption: Interruption) -> Path:
     """Run node and driver; return the recorded session's folder."""
     scene = load_scene(args.scene, args.overrides)
 
@@ -101,9 +101,14 @@ def _drive(args: argparse.Namespace, output: Path) -> Path:
     from needle_sim_ros.ros.node_process import NodeProcess
 
     domain = free_domain()
+
+    def check() -> None:
+        interruption.check()
+        node.check()
+
     with (
         NodeProcess(parameters, domain, output / "node.log") as node,
-        Driver(domain, node.check) as driver,
+        Driver(domain, check) as driver,
     ):
         driver.wait_ready()
         driver.pause(True)
@@ -146,29 +151,21 @@ def _in_real_time(
     driver.pause(True)
 
 
-@contextmanager
-def _ended_as_by_ctrl_c(*numbers: signal.Signals) -> Iterator[None]:
-    """Let these signals unwind as Ctrl-C does, so that the node is ended too."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def _short(path: Path) -> Path:
     """Return the path as seen from here, where that is shorter."""
     return Path(os.path.relpath(path)) if path.is_relative_to(Path.cwd()) else path
 
 
 def _hints(bag: Path) -> str:
+    needle_sim, sim_node = _program("needle_sim"), _program("sim_node")
     return f"""try next:
-  needle_sim plot {bag} --output session.svg
-  needle_sim run gao2016_steel --plot steel.png
-  needle_sim demo --realtime
-  ros2 run needle_sim_ros sim_node --ros-args -p scene:=gao2016"""
+  {needle_sim} plot {bag} --output session.svg
+  {needle_sim} run gao2016_steel --plot steel.png
+  {needle_sim} demo --realtime
+  {sim_node} --ros-args -p scene:=gao2016"""
+
+
+def _program(name: str) -> str:
+    """Return how to call a program of this package from here."""
+    beside = Path(sys.executable).parent / name
+    return str(_short(beside)) if shutil.which(name) is None and beside.exists() else name

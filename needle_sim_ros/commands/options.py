@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from needle_sim_ros.scene import Scene
 
 
+def examples(lines: Sequence[str]) -> str:
+    """Return calls, given without the program's name, as they stand below a help text."""
+    return "\n".join(["examples:", *(f"  needle_sim {line}" for line in lines)])
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json FILE``."""
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")

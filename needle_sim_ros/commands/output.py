@@ -36,11 +36,9 @@ def check_writable(path: Path | None) -> None:
         return
     if path.is_dir():
         raise NeedleSimError(f"cannot write {path}: it is a folder")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise NeedleSimError(f"cannot write {path}: {error.strerror}") from None
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    _check_parent(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and not os.access(path, os.W_OK):
         raise NeedleSimError(f"cannot write {path}: no permission")
 
 
@@ -56,11 +54,15 @@ def check_new_folder(path: Path | None) -> None:
         return
     if path.exists():
         raise NeedleSimError(f"{path} exists: a recording is never overwritten")
+    _check_parent(path)
+
+
+def _check_parent(path: Path) -> None:
     parent = next(folder for folder in path.absolute().parents if folder.exists())
     if not parent.is_dir():
-        raise NeedleSimError(f"cannot record in {path}: {parent} is not a folder")
+        raise NeedleSimError(f"cannot write {path}: {parent} is not a folder")
     if not os.access(parent, os.W_OK):
-        raise NeedleSimError(f"cannot record in {path}: no permission")
+        raise NeedleSimError(f"cannot write {path}: no permission in {parent}")
 
 
 def check_picture(path: Path | None) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from needle_sim_ros.commands.options import add_json, add_set, load_scene
+from needle_sim_ros.commands.options import add_json, add_set, examples, load_scene
 from needle_sim_ros.commands.output import check_writable, table, write_json
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "check",
         help="read and validate; exit status 2 and the reason if it is not valid",
         description="Read and validate a scene; exit status 2 and the reason if it is not valid.",
+        epilog=examples(EXAMPLES),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     check.add_argument("scene", metavar="SCENE", help="a YAML file, or a scene of this package")
     add_set(check)

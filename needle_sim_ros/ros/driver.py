@@ -41,7 +41,7 @@ class Driver:
     domain : int
         ROS domain id.
     check : callable
-        Called while waiting; raises when waiting has become pointless.
+        Called while waiting, every 50 ms or more often; raises to end the waiting.
     node : str
         Name of the node to drive.
 
@@ -56,7 +56,7 @@ class Driver:
     ) -> None:
         self._check = check
         self._context = Context()
-        # Ctrl-C stays Python's KeyboardInterrupt.
+        # Signals stay with the caller, whose `check` may act on them.
         rclpy.init(
             context=self._context,
             domain_id=domain,

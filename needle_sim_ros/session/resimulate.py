@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -41,15 +42,32 @@ def motions_until(session: Session, tick: int) -> list[Motion]:
     return before + [motion for t, motion in session.motions if t <= end]
 
 
-def resimulate(session: Session, tick: int) -> tuple[Simulator, Observation]:
-    """Return a simulator in the state of a recorded tick, and what it observes there."""
+def resimulate(
+    session: Session, motions: Sequence[Motion], advance: Callable[[], object] = lambda: None
+) -> tuple[Simulator, Observation]:
+    """Simulate a session's scene through motions of its ticks.
+
+    Parameters
+    ----------
+    session : Session
+        Gives scene and tick period.
+    motions : sequence of Motion
+        From the start; see :func:`motions_until`.
+    advance : callable
+        Called after each tick.
+
+    Returns
+    -------
+    Simulator, Observation
+        In the state after the last motion, and what can be seen there.
+    """
     from needle_sim_ros.simulator import Simulator
 
-    motions = motions_until(session, tick)
     sim = Simulator(Scene.from_yaml(session.scene_text))
     period = float(session.metadata["tick_period"])
     for motion, same in groupby(motions):
         command = motion.command()
         for _ in same:
             sim.step(command, period)
+            advance()
     return sim, sim.observe()

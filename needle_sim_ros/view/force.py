@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from needle_sim_ros.session.series import Series
 
 FORCE_LABEL = "axial force (N)"
+_LATE = 0.05  # of the last time: what begins after that is drawn from where it begins
 
 
 def axial_force(series: Series) -> NDArray[np.float64]:
@@ -41,7 +42,8 @@ def draw_force_over_time(ax: Axes, series: Series, instant: float | None = None)
     instant : float, optional
         Time of the section that is drawn elsewhere, s; marked on the curve.
     """
-    ax.set_xlim(0.0, series.time[-1])
+    first, last = series.time[0], series.time[-1]
+    ax.set_xlim(first if first > _LATE * last else 0.0, last)
     ax.axhline(0.0, color="0.4", linewidth=0.7)
     ax.plot(series.time, axial_force(series), color=BLACK, label="base (total)")
     if series.friction_force is not None:

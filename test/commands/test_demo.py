@@ -96,8 +96,7 @@ def test_the_node_ends_with_the_demo(coarse, tmp_path, number):
     time.sleep(0.5)
     process.send_signal(number)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert err == "needle_sim: interrupted\n"
+    assert (process.returncode, err) == (130, "needle_sim: interrupted\n")
     assert _nodes(tmp_path) == []
     (bag,) = tmp_path.glob("gao2016_*")
     assert read_session(bag).complete  # the node finished its recording

@@ -100,9 +100,11 @@ def test_the_recording_holds_what_the_json_says(recorded, out):
     assert series.process == out["series"]["process"]
 
 
-def test_the_table_is_for_people(coarse, capsys):
+def test_the_table_is_for_people(coarse, capsys, tmp_path):
     short = ["--set", "protocol=[{duration: 0.36, velocity: [0, 0, -0.03]}]"]
-    assert main(["run", "gao2016", *coarse, *short]) == 0
+    picture = tmp_path / "contact.png"
+    assert main(["run", "gao2016", *coarse, *short, "--plot", f"{picture}"]) == 0
+    assert picture.stat().st_size > 10_000
     printed = capsys.readouterr()
     for words in ("peak base force, contact", "tick, median", "real-time factor", " N", " mm"):
         assert words in printed.out
