@@ -8,6 +8,7 @@ bounded convex problem in the compliances of tissue and needle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -199,6 +200,8 @@ class Contact:
             depth = min(max(depth + rate * advance, 0.0), front)
         track, moved, forces = state.track, state.moved, state.forces
         strain, slip = state.strain, state.slip
+        reached, missed = state.front, math.inf  # how far the tip cuts at least, and does not
+        finest = min(track.spacing, advance) if heading > 0 else track.spacing
         solves = 0
         solution = None
         for _ in range(_MOST_ROUNDS):
@@ -217,8 +220,16 @@ class Contact:
             if engaged:
                 settled = abs(change) <= _SETTLED * track.spacing
                 if change > 0:
+                    reached = front
                     front += min(change, track.spacing)
+                    front = front if front < missed else 0.5 * (reached + missed)
                     depth = front
+                elif front > state.front and solution.status[-1] <= 0:
+                    # foreseen too far: a tip that bears less than its limit has not cut
+                    settled = front - reached <= _SETTLED * finest
+                    if not settled:
+                        back = reached if missed == math.inf else 0.5 * (reached + front)
+                        missed, depth, front = front, back, back
                 elif change < 0:
                     depth, engaged = front + max(change, -track.spacing), False
             else:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The track: points at equal distance, friction limits of their place, places along it."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -25,37 +27,63 @@ DOWN, ASIDE = np.array([0.0, -1.0]), np.array([0.6, -0.8])
 def layer(coarse_scene):
     scene = coarse_scene({"tissue.regions": [LAYER]})
     built = build_tissue(scene)
-    coupling = Coupling(built.model, scene.needle.radius)
+    coupling = Coupling(built.model, built.dynamics.compliance, scene.needle.radius)
     return TrackLayer(coupling, Laws(scene), ResponseTable(built.dynamics.compliance), SPACING)
 
 
 @pytest.fixture(scope="module")
 def track(layer):
-    track = layer.start(np.zeros(2), DOWN)
-    for direction in (DOWN, ASIDE, ASIDE):
+    track = layer.touch(np.zeros(2), DOWN)
+    for direction in (DOWN, DOWN, ASIDE, ASIDE):
         track = layer.extend(track, direction)
     return track
 
 
+def turned(direction):
+    """The heading expected half a spacing on: half as far again as it turned since the last."""
+    ahead = 1.5 * direction - 0.5 * DOWN
+    return ahead / np.linalg.norm(ahead)
+
+
+POINTS = np.cumsum([0 * DOWN, DOWN, DOWN, turned(ASIDE), ASIDE], axis=0) * SPACING
+
+
 def test_points_stand_a_spacing_apart(track):
-    expected = [[0, 0], [0, -2e-3], [0, -4e-3], [1.2e-3, -5.6e-3], [2.4e-3, -7.2e-3]]
-    np.testing.assert_allclose(track.points, expected, atol=1e-16)
+    """Straight pieces along the heading; where it turns, along the heading at its middle."""
+    np.testing.assert_allclose(track.points, POINTS, atol=1e-16)
+    steps = np.linalg.norm(np.diff(track.points, axis=0), axis=1)
+    np.testing.assert_allclose(steps, SPACING, rtol=1e-13)
     assert track.count == track.table.count == 5
 
 
+def test_a_turning_track_converges_with_the_square_of_the_spacing(coarse_scene, layer):
+    """A quarter of a circle of radius 40 mm: halving the spacing quarters the miss."""
+    misses = []
+    for count in (20, 40):
+        spacing = 0.04 * math.pi / 4 / count
+        finer = TrackLayer(layer.coupling, layer.laws, layer._empty.table, spacing)
+        track = finer.touch(np.zeros(2), DOWN)
+        for k in range(count):
+            angle = k * spacing / 0.04
+            track = finer.extend(track, np.array([math.sin(angle), -math.cos(angle)]))
+        end = 0.04 * np.array([1 - math.cos(math.pi / 4), -math.sin(math.pi / 4)])
+        misses.append(np.linalg.norm(track.points[-1] - end))
+    assert misses[1] < 0.3 * misses[0] < 0.3 * 2e-4
+
+
 def test_limits_are_those_of_the_place(track):
-    np.testing.assert_array_equal(track.static, [16, 16, 16, 40, 40])
+    np.testing.assert_array_equal(track.static, [16, 16, 16, 40, 40])  # the layer from 5 mm on
     np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 30, 30])
 
 
 @pytest.mark.parametrize(
     ("depth", "place", "direction"),
     [
-        (0.0, [0, 0], DOWN),
-        (1e-3, [0, -1e-3], DOWN),
-        (5e-3, [0.6e-3, -4.8e-3], ASIDE),
-        (8e-3, [2.4e-3, -7.2e-3], ASIDE),
-        (9e-3, [3.0e-3, -8.0e-3], ASIDE),
+        (0.0, POINTS[0], DOWN),
+        (1e-3, POINTS[1] / 2, DOWN),
+        (5e-3, (POINTS[2] + POINTS[3]) / 2, turned(ASIDE)),
+        (8e-3, POINTS[4], ASIDE),
+        (9e-3, POINTS[4] + 1e-3 * ASIDE, ASIDE),
     ],
 )
 def test_places_along_the_track(track, depth, place, direction):

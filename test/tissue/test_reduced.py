@@ -8,7 +8,7 @@ import pytest
 
 from needle_sim_ros.tissue.reduced import lowest_modes
 
-PUSH = np.array([[0.0, 0.02], [-0.1, -0.05]])
+PUSH = np.array([[0.0, -0.1], [0.02, -0.05]])  # per row: x, z
 DAMPED = {"tissue.damping": {"alpha": 0.0, "beta": 5e-3}, "solver.time_step": 5e-3}
 
 
