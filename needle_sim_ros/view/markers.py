@@ -19,8 +19,13 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _LABEL_SHARE = 0.032  # of the axes: half the size of a number with its distance
+_LONGEST = 2.0  # times the spacing of the markers: how long a track may be drawn
 _MARGIN = 1.2  # by which a track's box is larger than the track
 _FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
+_ENOUGH = 0.65  # of that: from a number's middle to the nearest curve
+# Where a number may stand beside its marker, the best first; x > 0 is away from the needle.
+_SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [1.3, 0], [-1.3, 0], [0, 1.3], [0, -1.3]])
 
 
 def exaggeration(reference: Array, displacements: Array) -> int:
@@ -42,7 +47,8 @@ def exaggeration(reference: Array, displacements: Array) -> int:
     fitting = [
         factor
         for factor in _FACTORS
-        if factor * longest <= spacing and not _overlap(reference, factor * displacements)
+        if factor * longest <= _LONGEST * spacing
+        and not _overlap(reference, factor * displacements)
     ]
     return max(fitting, default=1)
 
@@ -80,7 +86,9 @@ def draw_marker_tracks(ax: Axes, series: Series) -> None:
         *start.T, "o", color=BLACK, markersize=4, markerfacecolor="white", label="start", zorder=3
     )
     _frame(ax, start, drawn)
-    _number(ax, start, np.concatenate([path, start, drawn.reshape(-1, 2)]))
+    surface = np.zeros((100, 2))
+    surface[:, 0] = np.linspace(*ax.get_xlim(), 100)
+    _number(ax, start, np.concatenate([path, surface, start, drawn.reshape(-1, 2)]))
     ax.set_aspect("equal")
     ax.set_anchor("W")
     ax.set_xlabel("x (mm)")
@@ -90,15 +98,14 @@ def draw_marker_tracks(ax: Axes, series: Series) -> None:
 
 
 def _number(ax: Axes, start: Array, curves: Array) -> None:
-    """Write each marker's number beside its start, where least of the ``curves`` is."""
+    """Write each marker's number beside its start, clear of the points of ``curves``."""
     spans = np.array([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())])
     label = _LABEL_SHARE * float(spans.max())  # mm; the axes have equal scales
     for number, place in enumerate(start, start=1):
         outward = 1.0 if place[0] >= 0 else -1.0
-        sides = np.array([[outward, 1], [outward, -1], [-outward, 1], [-outward, -1]])
-        centres = place + label * sides
-        near = np.abs(curves[None] - centres[:, None]).max(axis=2) < 0.6 * label
-        x, z = centres[int(near.sum(axis=1).argmin())]
+        centres = place + label * _SIDES * [outward, 1.0]
+        clear = np.abs(curves[None] - centres[:, None]).max(axis=2).min(axis=1)
+        x, z = centres[int(np.argmax(np.minimum(clear, _ENOUGH * label)))]
         ax.text(x, z, str(number), fontsize=8, ha="center", va="center")
 
 
