@@ -24,7 +24,7 @@ def pressed_compliance(scene, direction=(0.0, -1.0)):
     """Displacement (2, 2) of the needle's cross-section at the origin per force on it: one
     sparse solve of the whole tissue, by scipy's other solver."""
     model = TissueModel(scene)
-    footprint = Coupling(model, None, scene.needle.radius).section(np.zeros(2), np.array(direction))
+    footprint = Coupling(model, scene.needle.radius).section(np.zeros(2), np.array(direction))
     loads = np.zeros((model.nodes, 2, 2))
     for axis in (0, 1):
         loads[footprint.nodes, axis, axis] = footprint.weights

@@ -23,7 +23,7 @@ def model(coarse_scene):
 
 @pytest.fixture(scope="module")
 def coupling(model):
-    return Coupling(model, None, RADIUS)
+    return Coupling(model, RADIUS)
 
 
 def heading(angle):

@@ -27,7 +27,7 @@ DOWN, ASIDE = np.array([0.0, -1.0]), np.array([0.6, -0.8])
 def layer(coarse_scene):
     scene = coarse_scene({"tissue.regions": [LAYER]})
     built = build_tissue(scene)
-    coupling = Coupling(built.model, built.dynamics.compliance, scene.needle.radius)
+    coupling = Coupling(built.model, scene.needle.radius)
     return TrackLayer(coupling, Laws(scene), ResponseTable(built.dynamics.compliance), SPACING)
 
 

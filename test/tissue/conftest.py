@@ -34,7 +34,7 @@ class Loaded:
     def __init__(self, scene):
         built = build_tissue(scene)
         self.model, self.dynamics = built.model, built.dynamics
-        hat = Coupling(built.model, built.dynamics.compliance, scene.needle.radius).hat
+        hat = Coupling(built.model, scene.needle.radius).hat
         self.table = ResponseTable(built.dynamics.compliance, built.dynamics.modes)
         step = np.array([0.0, -0.008])
         for place in (np.array([0.0, -0.008]), np.array([0.004, -0.03])):

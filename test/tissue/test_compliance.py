@@ -39,7 +39,7 @@ def compliance(model, factor):
 def footprints(model):
     """A track that leans by 27 deg, so that it crosses tiles both ways."""
     points = np.array([[1.0, -2.0]]) * np.arange(16)[:, None] * SPACING / np.sqrt(5)
-    coupling = Coupling(model, None, RADIUS)
+    coupling = Coupling(model, RADIUS)
     hats = [coupling.hat(*points[k - 1 : k + 2]) for k in range(1, 15)]
     return [coupling.section(points[0], points[1] / SPACING), *hats]
 
