@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("needle_sim: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except (NeedleSimError, OSError, ModuleNotFoundError) as error:
+    except (NeedleSimError, OSError, ImportError) as error:
         print(f"needle_sim: {_one_line(error)}", file=sys.stderr)
         return EXIT_ERROR
 
@@ -85,7 +85,7 @@ def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename is not None else ""
         return f"{where}{error.strerror}"
-    if isinstance(error, ModuleNotFoundError):
+    if isinstance(error, ImportError):
         return f"{error}: install what is missing (see the README)"
     return " ".join(str(error).split())
 

@@ -110,6 +110,18 @@ def test_errors_reach_the_shell_without_a_traceback():
     assert "needle.radius = 0" in result.stderr
 
 
+@pytest.mark.parametrize("error", [ImportError, ModuleNotFoundError])
+def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch, capsys, error):
+    def fail(args):
+        raise error("librmw_fastrtps_cpp.so: cannot open shared object file")
+
+    monkeypatch.setattr("needle_sim_ros.commands.plot.execute", fail)
+    assert main(["plot", "bag", "--output", "a.png"]) == 2
+    printed = capsys.readouterr().err
+    assert "librmw_fastrtps_cpp.so" in printed and "install what is missing" in printed
+    assert printed.count("\n") == 1
+
+
 def test_ctrl_c_ends_a_run_quietly(tmp_path):
     options = ["--realtime", "--set", "solver.dynamics=quasi_static"]
     options += ["--set", "solver.track_spacing=4e-3", "--set", "tissue.mesh.spacing_across=2e-3"]
