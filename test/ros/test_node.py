@@ -392,4 +392,5 @@ def test_a_start_that_cannot_work_is_refused_with_the_reason(cell, parameters, m
 def test_interaction_parameters_change_the_scene(cell):
     sim = cell.start(interaction__cutting__force=0.123)
     assert sim.plant.scene.interaction.cutting.force == 0.123
-    assert sim.get_parameter("interaction.friction.static").value == 16.0
+    static = Scene.load("gao2016").interaction.friction.static
+    assert sim.get_parameter("interaction.friction.static").value == static
