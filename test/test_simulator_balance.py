@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from needle_sim_ros import BaseCommand
+from needle_sim_ros import BaseCommand, Simulator
 from needle_sim_ros.geometry import rotation_matrix
 from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.needle.beam import flexibility
@@ -31,7 +31,7 @@ WAYS = {
         "solver.modes": 20,
         "needle.tip.deviation_angle": 0.1,
     },
-    "newmark": {"solver.dynamics": "newmark"},
+    "newmark": {"solver.dynamics": "newmark", "solver.time_step": 0.05},
     "stiff": {"needle.youngs_modulus": 2.1e11, "needle.tip.deviation_angle": 0.05},
     "hard": {"tissue.youngs_modulus": 3e5, "needle.tip.roll": math.pi},
 }
@@ -40,8 +40,6 @@ WAYS = {
 @pytest.fixture(scope="module", params=WAYS)
 def run(request, coarse_scene, drive):
     """The manoeuvre, as (simulator, observations)."""
-    from needle_sim_ros import Simulator
-
     sim = Simulator(coarse_scene(WAYS[request.param]))
     observations = []
     for velocity, turn, duration in MANOEUVRE:
@@ -72,11 +70,14 @@ def test_axial_force_is_friction_and_tip(run):
 
 
 def on_needle(o):
-    """Arclengths of the contact points, the tip last."""
-    count = len(o.contact_points)
+    """Arclengths of the contact points, the tip last: from the entry a spacing apart."""
+    at = o._contact.arclength
+    np.testing.assert_allclose(np.diff(at), SPACING, rtol=1e-9)
     if o.process is Process.CONTACT:
-        return np.array([LENGTH])
-    return np.append(LENGTH - o.insertion_depth + SPACING * np.arange(count - 1), LENGTH)
+        return at
+    # the depth reported is one correction newer than the forces
+    assert LENGTH - at[0] == pytest.approx(o.insertion_depth, abs=0.021 * SPACING)
+    return np.append(at, LENGTH)
 
 
 def test_the_needle_is_the_bent_cantilever(run):

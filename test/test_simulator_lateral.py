@@ -31,7 +31,7 @@ def inclined(angle):
 def pressed_compliance(scene, direction):
     """Displacement (2, 2) of the cross-section at the origin per force on it, direct solve."""
     model = TissueModel(scene)
-    footprint = Coupling(model, None, scene.needle.radius).section(np.zeros(2), direction)
+    footprint = Coupling(model, scene.needle.radius).section(np.zeros(2), direction)
     loads = np.zeros((model.nodes, 2, 2))
     for axis in (0, 1):
         loads[footprint.nodes, axis, axis] = footprint.weights
