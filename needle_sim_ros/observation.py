@@ -139,9 +139,10 @@ class Observation:
     @property
     def _friction_at(self) -> Vector:
         """Arclengths at which friction acts; what is ahead of the tip acts at the tip."""
-        contact, length = self._contact, self._scene.needle.length
-        spacing = self._scene.solver.track_spacing
-        return np.minimum(length - contact.depth + spacing * np.arange(contact.active), length)
+        contact, spacing = self._contact, self._scene.solver.track_spacing
+        # from the entry's, which is that of the forces (the depth has gone on since)
+        at = contact.arclength[0] + spacing * np.arange(contact.active)
+        return np.minimum(at, self._scene.needle.length)
 
     @property
     def friction_force(self) -> float:

@@ -230,7 +230,25 @@ def test_a_short_ripple_makes_the_tip_stick_and_slip(simulator, drive):
         limit = CUTTING * (1 + 0.5 * math.sin(2 * math.pi * o.insertion_depth / 2e-3))
         assert 0 <= o.tip_force <= limit + 1.01 * steepest * DEPTH_TOLERANCE
     steps = np.diff([o.insertion_depth for o in ticks])
-    assert (steps < 0.05 * 1.5e-4).any() and (steps > 2 * 1.5e-4).any()
+    assert steps.min() < 0.5 * 1.5e-4 and steps.max() > 3 * 1.5e-4
+
+
+def test_the_tip_waits_at_a_harder_layer(simulator, drive):
+    """From 0.3 to 0.9 N at 15 mm: until the tissue is loaded so far the tip does not cut.
+    Whatever the step, it waits as long, and the base meets the same force."""
+    hard = {"name": "hard", "shape": "half_space", "center": [0, 0, -0.015], "cutting_force": 0.9}
+    runs = []
+    for dt in (0.05, 0.01):
+        sim = simulator({**STRAIGHT, "tissue.regions": [hard]})
+        ticks = drive(sim, 12.0, DOWN, dt=dt)[round(0.05 / dt) - 1 :: round(0.05 / dt)]
+        runs.append(np.array([(o.insertion_depth, o.base_force[2], o.tip_force) for o in ticks]))
+        depth, _, tip = runs[-1].T
+        waiting = (tip > 0.4) & (tip < 0.88) & (depth > 2 * BEVEL)
+        assert waiting.sum() >= 5
+        np.testing.assert_allclose(depth[waiting], 0.015, atol=2 * DEPTH_TOLERANCE)
+        np.testing.assert_allclose(tip[depth > 0.0155], 0.9, rtol=1e-9)
+    np.testing.assert_allclose(runs[0][:, 0], runs[1][:, 0], atol=2 * DEPTH_TOLERANCE)
+    np.testing.assert_allclose(runs[0][:, 1], runs[1][:, 1], atol=0.01 * 1.2)
 
 
 def test_layers_change_the_slope_of_the_force(simulator, drive):
