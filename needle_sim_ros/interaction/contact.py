@@ -212,6 +212,12 @@ class Contact:
             while depth >= (track.count - 1) * track.spacing:
                 slope = self._balance.slope(state) if slope is None else slope
                 direction = self._heading(step, track, slope, forces, depth)
+                beyond = depth - (track.count - 1) * track.spacing
+                if heading <= 0 and beyond <= _SETTLED * track.spacing:
+                    # where the tissue ends, a needle that goes back needs no more track
+                    point = track.points[-1] + track.spacing * direction
+                    if not self._in_tissue(point):
+                        break
                 track = self._extended(track, direction)
             moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
@@ -281,9 +287,13 @@ class Contact:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)
 
+    def _in_tissue(self, point: Vector) -> bool:
+        deep = -2 * self._half[-1] <= point[-1] <= 0
+        return bool(deep and (np.abs(point[:-1]) <= self._half[:-1]).all())
+
     def _extended(self, track: Track, direction: Vector) -> Track:
         point = track.points[-1] + track.spacing * direction
-        if (np.abs(point[:-1]) > self._half[:-1]).any() or not -2 * self._half[-1] <= point[-1] <= 0:
+        if not self._in_tissue(point):
             raise CommandError(f"the tip would leave the tissue at {point.tolist()} m")
         return self._layer.extend(track, direction)
 
