@@ -169,12 +169,15 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     if scene.solver.dynamics == "quasi_static" and (way > 0.49 * track.spacing or turned > 0.02):
         return excess  # the simulator divides such a tick
     law = scene.interaction.friction
-    fallen = np.clip(1.0 - past.slip / law.weakening_distance, 0.0, 1.0)
+    pose = state.pose
+    advance = float(pose.axial @ (pose.origin - before.pose.origin))
+    # what slides goes on sliding by the advance; what turns round sticks first
+    onward = np.where(past.status[:-1] * advance > 0, abs(advance), 0.0)
+    slip = np.where(past.strain * advance < 0, 0.0, past.slip + onward)
+    fallen = np.clip(1.0 - slip / law.weakening_distance, 0.0, 1.0)
     limit = (track.kinetic[:n] + (track.static - track.kinetic)[:n] * fallen) * length
     presliding = contact.friction / (law.presliding_stiffness * np.maximum(length, 1e-300))
     used = length > 1e-6 * track.spacing
-    pose = state.pose
-    advance = float(pose.axial @ (pose.origin - before.pose.origin))
     drive = past.strain + advance + (past.moved[:n] - contact.moved[:n]) @ pose.axial
     slid = (drive - presliding)[used]
     force, bound = contact.friction[used], limit[used]

@@ -74,11 +74,16 @@ def random_commands(simulator: Simulator, draw: np.random.Generator) -> Iterator
             up = (z - LENGTH + 0.024) / 0.03 < draw.uniform()
             velocity[2] = speed if up else -speed
         elif kind == 6:
-            velocity[0] = -math.copysign(speed, x) if abs(x) > 0.01 else speed * draw.choice([-1, 1])
+            velocity[0] = speed * float(draw.choice([-1, 1]))
+            ticks = min(ticks, 1 + int(4e-3 / (speed * _DT)))
+            if abs(x) > 3e-3:  # back to the middle
+                velocity[0] = -math.copysign(speed, x)
         elif kind == 7:
             rotation = seen.base_orientation
             lean = math.atan2(rotation[2], rotation[0])
-            turning = -5 * lean if abs(lean) > 0.1 else float(draw.normal(0.0, 0.2))
+            turning = float(draw.uniform(-0.05, 0.05)) / (ticks * _DT)
+            if abs(lean) > 0.03:
+                turning = -2 * lean / (ticks * _DT)
         elif kind == 8:
             place = [x + float(draw.normal(0, 1e-3)), 0.0, z + float(draw.normal(0, 1e-3))]
             yield BaseCommand(position=place)
@@ -152,9 +157,12 @@ def long_run(
 
 
 def _lifted(simulator: Simulator) -> Observation:
-    """Draw the needle back along itself: that is admissible everywhere."""
+    """Draw the needle back: along itself, or else straight up."""
     turned = rotation_matrix(simulator.observe().base_orientation)
-    return simulator.step(BaseCommand(velocity=-0.05 * turned[:, 2]), _DT)
+    try:
+        return simulator.step(BaseCommand(velocity=-0.05 * turned[:, 2]), _DT)
+    except CommandError:
+        return simulator.step(BaseCommand(velocity=[0.0, 0.0, 0.05]), _DT)
 
 
 def _against_fresh(old: Simulator) -> float:

@@ -331,7 +331,11 @@ def _scene(number: int, level: dict[str, float], setting: _Setting) -> dict[str,
             "cutting": {
                 "force": cutting,
                 "relaxation_time": 0.5,
-                "ripple": {"amplitude": level["ripple"], "wavelength": 2e-3},
+                # long enough for the tissue to follow: a steeper ripple snaps from tooth to tooth
+                "ripple": {
+                    "amplitude": level["ripple"],
+                    "wavelength": 2e-3 + 8 * level["cutting"],
+                },
             },
             "puncture": {"force": 1.5 * cutting},
         },

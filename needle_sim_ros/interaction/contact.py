@@ -16,7 +16,7 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import Balance, TipLimit
+from needle_sim_ros.interaction.balance import STILL, Balance, TipLimit
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
@@ -31,7 +31,6 @@ _FORESIGHT = 0.98
 # how far the tip may end from where a step took it to be, in track spacings
 _SETTLED = 0.02
 _MOST_ROUNDS = 400
-_STILL = 1e-12
 
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
@@ -195,7 +194,7 @@ class Contact:
         """Insertion, hold and retraction: find the forces and how far the tip gets."""
         assert state.track is not None
         advance = step.advance
-        heading = 0 if abs(advance) <= _STILL else (1 if advance > 0 else -1)
+        heading = 0 if abs(advance) <= STILL else (1 if advance > 0 else -1)
         rate = state.rate if heading == state.heading else 0.0
         depth, front = state.depth, state.front
         engaged = depth >= front
@@ -283,7 +282,7 @@ class Contact:
         cutting = self.laws.cutting(local.cutting, front)
         if front < self._bevel:
             cutting += self.laws.opening(self.laws.at(track.points[0]), front, self._bevel)
-        if advance <= _STILL:
+        if advance <= STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)
 
