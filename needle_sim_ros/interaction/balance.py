@@ -23,7 +23,7 @@ from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.coupling import coverage
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
-from needle_sim_ros.interaction.sliding import SlidingProblem
+from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.track import Track
 from needle_sim_ros.needle import beam
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 # inserted length, in track spacings, below which a point carries nothing yet
 _LEAST = 1e-6
+# advances up to this, m, count as a hold
+STILL = 1e-12
 
 
 class TipLimit(NamedTuple):
@@ -174,7 +176,9 @@ class Balance:
         held = max(1, last + (behind[-1] > _LEAST * h))
         length = coverage(depth, n, h)
         share = tip_share(length, depth, limit.spread, h)
-        slip = _fitted(slip, n)
+        slip, strain = _fitted(slip, n), _fitted(strain, n)
+        guess = _guess(status, n)
+        expected = expected_slip(slip, strain, guess[:-1], step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
         soft = np.zeros(held)
         soft[1:] = self._softness(track, behind[1:held], limit.spread)
@@ -188,14 +192,14 @@ class Balance:
             share=share,
             tip_softness=1e-6 / (stiffness * h),
             aside=((pose.origin - track.points[:held] - free[:held]) @ pose.lateral.T).T.ravel(),
-            elastic=_fitted(strain, n) + (step.advance + (moved[:n] - free[:n]) @ pose.axial),
+            elastic=strain + (step.advance + (moved[:n] - free[:n]) @ pose.axial),
             reach=self._length - float(pose.axial @ end),
-            bound=self.laws.friction(track.static[:n], track.kinetic[:n], slip) * length,
+            bound=self.laws.friction(track.static[:n], track.kinetic[:n], expected) * length,
             tip_bound=limit.force,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
         )
-        found = problem.solve(_guess(status, n))
+        found = problem.solve(guess)
 
         lateral = found.lateral.reshape(m, held)
         forces = found.forces
@@ -216,7 +220,7 @@ class Balance:
             arclength=problem.arclength,
             share=share,
             strain=new_strain,
-            slip=np.where(found.status[:-1] != 0, slip + np.abs(slid), 0.0),
+            slip=self._slip(slip, strain, found, problem.bound, slid, step.advance),
             moved=after,
             forces=forces,
             status=found.status,
@@ -224,6 +228,34 @@ class Balance:
             residual=found.residual,
             overlap=found.overlap,
         )
+
+    def _slip(
+        self,
+        slip: Vector,
+        strain: Vector,
+        found: TrackForces,
+        bound: Vector,
+        slid: Vector,
+        advance: float,
+    ) -> Vector:
+        """Return the slip since the points last stuck, m.
+
+        A point that sticks in a hold starts anew. While the needle moves it does so as far
+        as it is unloaded, and wholly where the friction turns round: whether it stuck for
+        the length of a tick must not matter.
+        """
+        sliding = found.status[:-1] != 0
+        turned = found.friction * strain < 0
+        after = np.where(turned, 0.0, slip)
+        after[sliding] += np.abs(slid[sliding])
+        if not sliding.all():
+            if abs(advance) <= STILL:
+                after[~sliding] = 0.0
+            else:
+                whole = self.laws.interaction.friction.weakening_distance
+                loaded = whole * np.abs(found.friction) / np.maximum(bound, 1e-300)
+                np.minimum(after, loaded, out=after, where=~sliding)
+        return after
 
     def _softness(self, track: Track, behind: Vector, bevel: float) -> Vector:
         """Return how much softer the needle holds track points near its tip, m/N.
@@ -235,6 +267,29 @@ class Balance:
         soft = (bevel / (self._grip * track.spacing)) / behind
         soft -= 1.0 / (self._grip * track.spacing)
         return np.maximum(soft, 0.0, out=soft)
+
+
+def expected_slip(
+    slip: Vector, strain: Vector, status: NDArray[np.int8], advance: float
+) -> Vector:
+    """Return the slip by which the friction limits of a step go, shape (n,), m.
+
+    What slides goes on sliding by the advance of the needle; what the needle now drags the
+    other way has to stick first.
+
+    Parameters
+    ----------
+    slip, strain : ndarray, shape (n,)
+        Slip and elastic presliding before the step, m.
+    status : ndarray of int8, shape (n,)
+        Which points slid, and which way.
+    advance : float
+        m.
+    """
+    if advance == 0:
+        return slip
+    onward = status * advance > 0
+    return np.where(strain * advance < 0, 0.0, slip + np.where(onward, abs(advance), 0.0))
 
 
 def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Vector:

@@ -15,7 +15,7 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import Balance, TipLimit
+from needle_sim_ros.interaction.balance import STILL, Balance, TipLimit
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
@@ -30,7 +30,6 @@ _FORESIGHT = 0.98
 # how far the tip may end from where a step took it to be, in track spacings
 _SETTLED = 0.02
 _MOST_ROUNDS = 400
-_STILL = 1e-12
 
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
@@ -190,7 +189,7 @@ class Contact:
         """Insertion, hold and retraction: find the forces and how far the tip gets."""
         assert state.track is not None
         advance = step.advance
-        heading = 0 if abs(advance) <= _STILL else (1 if advance > 0 else -1)
+        heading = 0 if abs(advance) <= STILL else (1 if advance > 0 else -1)
         rate = state.rate if heading == state.heading else 0.0
         depth, front = state.depth, state.front
         engaged = depth >= front
@@ -208,6 +207,12 @@ class Contact:
             while depth >= (track.count - 1) * track.spacing:
                 slope = self._balance.slope(solution or state)
                 direction = self._heading(step, track, slope, forces, depth)
+                beyond = depth - (track.count - 1) * track.spacing
+                if heading <= 0 and beyond <= _SETTLED * track.spacing:
+                    # where the tissue ends, a needle that goes back needs no more track
+                    point = track.points[-1] + track.spacing * direction
+                    if not self._in_tissue(point):
+                        break
                 track = self._extended(track, direction)
             moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
@@ -281,15 +286,17 @@ class Contact:
         cutting = self.laws.cutting(local.cutting, front)
         if front < self._bevel:
             cutting += self.laws.opening(self.laws.at(track.points[0]), front, self._bevel)
-        if advance <= _STILL:
+        if advance <= STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)
 
+    def _in_tissue(self, point: Vector) -> bool:
+        deep = -2 * self._half[-1] <= point[-1] <= 0
+        return bool(deep and (np.abs(point[:-1]) <= self._half[:-1]).all())
+
     def _extended(self, track: Track, direction: Vector) -> Track:
         point = track.points[-1] + track.spacing * direction
-        if (np.abs(point[:-1]) > self._half[:-1]).any() or not -2 * self._half[-1] <= point[
-            -1
-        ] <= 0:
+        if not self._in_tissue(point):
             raise CommandError(f"the tip would leave the tissue at {point.tolist()} m")
         return self._layer.extend(track, direction)
 
