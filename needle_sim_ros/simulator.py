@@ -108,6 +108,11 @@ class Simulator:
         """Ticks since the start or the last reset."""
         return self._state.ticks
 
+    @property
+    def unknowns(self) -> int:
+        """Number of displacements of the tissue that are not fixed."""
+        return len(self._model.free)
+
     def step(self, command: BaseCommand, dt: float) -> Observation:
         """Move the base for a tick and find out what needle and tissue do.
 

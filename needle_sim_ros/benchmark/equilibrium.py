@@ -88,9 +88,7 @@ def residuals(simulator: Simulator, before: Snapshot | None = None) -> Residuals
     if contact.inserted:
         lateral = _lateral(simulator, state, sampled)
         friction = _friction(simulator, state, before)
-    return Residuals(
-        _balance(seen), tissue, condensed, lateral, friction, _tip(simulator, contact)
-    )
+    return Residuals(_balance(seen), tissue, condensed, lateral, friction, _tip(simulator, contact))
 
 
 def _balance(seen: Observation) -> float:

@@ -181,7 +181,9 @@ def _against_fresh(old: Simulator) -> float:
         rows = []
         for tick in range(_COMPARED):
             wave = 5e-3 * float(draw.uniform(0.5, 1.0)) * (1 if tick % 50 < 35 else -1)
-            seen = simulator.step(BaseCommand(velocity=[2e-3 * float(draw.normal()), 0.0, -wave]), _DT)
+            seen = simulator.step(
+                BaseCommand(velocity=[2e-3 * float(draw.normal()), 0.0, -wave]), _DT
+            )
             rows.append(
                 np.concatenate([seen.base_force, seen.tip_position, seen.marker_positions.ravel()])
             )

@@ -282,7 +282,9 @@ def _cell(number: int, motion: str, level: dict[str, float], seed: int) -> Cell:
         spacing=level["track_spacing"],
     )
     moves = MOTIONS[motion](setting, draw)
-    return Cell(number, motion, level, _scene(number, level, setting), tuple(moves), motion == "hold")
+    return Cell(
+        number, motion, level, _scene(number, level, setting), tuple(moves), motion == "hold"
+    )
 
 
 def _scene(number: int, level: dict[str, float], setting: _Setting) -> dict[str, Any]:

@@ -276,5 +276,3 @@ def _answer_change(one: Trace, other: Trace) -> float:
         worst = max(worst, abs(one.friction[-1] - other.friction[-1]) / float(friction))
         worst = max(worst, abs(one.tip[-1] - other.tip[-1]) / float(friction))
     return worst
-
-

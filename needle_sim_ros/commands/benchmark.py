@@ -8,11 +8,15 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import needle_sim_ros
 from needle_sim_ros.commands.options import add_json, add_set, load_scene
-from needle_sim_ros.commands.output import check_writable, progress
+from needle_sim_ros.commands.output import check_picture, check_writable, progress
+from needle_sim_ros.errors import NeedleSimError
+
+if TYPE_CHECKING:
+    from needle_sim_ros.benchmark.result import BenchmarkResult
 
 NAME = "benchmark"
 HELP = "measure accuracy, speed, scaling, stability"
@@ -21,6 +25,9 @@ ratios within one run, so that they mean something on any machine."""
 EXAMPLES = (
     "benchmark speed --quick",
     "benchmark speed --scene gao2016_steel --json speed.json",
+    "benchmark accuracy --quick --plot pareto.png",
+    "benchmark accuracy --quick --budget 0.5ms",
+    "benchmark accuracy --quick --error 1%",
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
@@ -42,11 +49,45 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="a smaller version, for a first look")
     add_set(parser)
     add_json(parser)
+    accuracy = parser.add_argument_group("accuracy")
+    accuracy.add_argument("--plot", metavar="FILE", type=Path, help="picture: error, tick time")
+    accuracy.add_argument(
+        "--budget",
+        metavar="TIME",
+        type=_milliseconds,
+        help="print the most accurate settings whose tick takes at most this, e.g. 0.5ms",
+    )
+    accuracy.add_argument(
+        "--error",
+        metavar="PART",
+        type=_fraction,
+        help="print the fastest settings with at most this error, e.g. 1%%",
+    )
+
+
+def _milliseconds(text: str) -> float:
+    """Read a time as ms; without a unit it is in ms."""
+    units = {"us": 1e-3, "ms": 1.0, "s": 1e3}
+    number = text.rstrip("umsµ")
+    value = float(number) * units[text[len(number) :].strip().replace("µ", "u") or "ms"]
+    return _above_zero(value)
+
+
+def _fraction(text: str) -> float:
+    """Read ``1%`` or ``0.01`` as a fraction."""
+    return _above_zero(float(text[:-1]) / 100 if text.endswith("%") else float(text))
+
+
+def _above_zero(value: float) -> float:
+    if not 0 < value < float("inf"):
+        raise ValueError
+    return value
 
 
 def execute(args: argparse.Namespace) -> int:
     """Run the benchmark; print and write its result."""
     check_writable(args.json)
+    _check_accuracy_options(args)
     scene = load_scene(args.scene, args.overrides)
     benchmark = getattr(import_module(f"{_PACKAGE}.{args.benchmark}"), args.benchmark)
     with progress(1, f"benchmark {args.benchmark}", unit="step") as bar:
@@ -59,6 +100,44 @@ def execute(args: argparse.Namespace) -> int:
     print(result.text(), end="")
     if args.json is not None:
         result.write_json(args.json)
+    if args.plot is not None:
+        _plot(result, args)
+    return _recommend(result, args)
+
+
+def _check_accuracy_options(args: argparse.Namespace) -> None:
+    given = [name for name in ("plot", "budget", "error") if getattr(args, name) is not None]
+    if given and args.benchmark != "accuracy":
+        raise NeedleSimError(f"--{given[0]}: only benchmark accuracy has it")
+    check_picture(args.plot)
+
+
+def _plot(result: BenchmarkResult, args: argparse.Namespace) -> None:
+    from needle_sim_ros.view.files import save_figure
+    from needle_sim_ros.view.pareto import pareto_figure
+
+    how = "quick run" if args.quick else "full run"
+    rows = [row for row in result.table if row["compared"]]
+    save_figure(pareto_figure(rows, f"{result.scene}: error against run time ({how})"), args.plot)
+    print(f"plot: {args.plot}")
+
+
+def _recommend(result: BenchmarkResult, args: argparse.Namespace) -> int:
+    """Print the settings for a budget or an error; return 1 when none was found."""
+    if args.budget is None and args.error is None:
+        return 0
+    from needle_sim_ros.benchmark.recommend import recommend
+
+    chosen = recommend(result.table, args.budget, args.error)
+    if chosen is None:
+        print("no measured setting is as fast and as accurate as that")
+        return 1
+    print(
+        f"{chosen['method']}, {chosen['run']}: error {100 * chosen['max_error']:.2g} %, "
+        f"tick {chosen['tick_ms']:.2g} ms; set"
+    )
+    for setting in chosen["settings"].split():
+        print(f"  --set {setting}")
     return 0
 
 

@@ -269,9 +269,7 @@ class Balance:
         return np.maximum(soft, 0.0, out=soft)
 
 
-def expected_slip(
-    slip: Vector, strain: Vector, status: NDArray[np.int8], advance: float
-) -> Vector:
+def expected_slip(slip: Vector, strain: Vector, status: NDArray[np.int8], advance: float) -> Vector:
     """Return the slip by which the friction limits of a step go, shape (n,), m.
 
     What slides goes on sliding by the advance of the needle; what the needle now drags the
