@@ -76,8 +76,9 @@ def speed(
         The bare tick is that of the scene as it is; beside it run its quasi-static, Newmark and
         reduced variants and, in 2D without regions, the paper's algorithm.
     quick : bool
-        The paper's algorithm and full Newmark run the protocol eight times as fast: as
-        deep, in an eighth of the ticks. Their iterations cost the same at any speed. So does the node's loop.
+        The paper's algorithm, full Newmark and the node's loop run the protocol eight
+        times as fast: as deep, in an eighth of the ticks. An iteration of the first two
+        costs the same at any speed.
     progress : callable, optional
         Called with (done, total) ticks.
     node : callable, optional

@@ -107,7 +107,7 @@ class _Setting:
     spacing: float = 1e-3
 
     def axis(self) -> tuple[float, float]:
-        """x and z of the direction of the needle."""
+        """Direction of the needle: x and z."""
         return math.sin(self.angle), -math.cos(self.angle)
 
     def stroke(self, length: float, speed: float | None = None) -> Move:
