@@ -155,6 +155,8 @@ class Simulator:
             state.time + dt, state.ticks + 1, position, quaternion, pose, process, contact, tissue
         )
         self._observation = None
+        self.statistics.solves = self._factor.solves
+        self.statistics.waits = self._dynamics.compliance.waits
         self.statistics.tick(time.perf_counter() - began, contact.solves, contact.residual)
         return self.observe()
 

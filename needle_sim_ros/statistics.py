@@ -19,6 +19,10 @@ class Statistics:
         Ticks counted.
     iterations : int
         Contact systems solved.
+    solves : int
+        Right-hand sides solved with the tissue's factorised matrix, the set-up included.
+    waits : int
+        Times that a tick waited for such a solve.
     worst_residual : float
         Largest relative violation of equilibrium seen.
     """
@@ -26,6 +30,8 @@ class Statistics:
     def __init__(self) -> None:
         self.ticks = 0
         self.iterations = 0
+        self.solves = 0
+        self.waits = 0
         self.worst_residual = 0.0
         self._ring = np.zeros(_KEPT)
 
