@@ -170,9 +170,7 @@ class Simulator:
             after,
             dt,
             prediction.rows,
-            lambda table, forces, footprint: (
-                footprint.weights @ dynamics.at_nodes(tissue, table, forces, footprint.nodes)
-            ),
+            lambda table, forces, footprint: dynamics.at(tissue, table, forces, footprint),
         )
         contact = self._contact_laws.step(contact, step)
         table = self._empty if contact.track is None else contact.track.table

@@ -313,11 +313,8 @@ class Contact:
         if not forces.any():
             return direction
         place = track.at(depth) if track.count > 1 else track.points[0]
-        ahead = self._bevel
-        section = self._layer.coupling.section
-        here = step.sample(track.table, forces, section(place, direction))
-        there = step.sample(track.table, forces, section(place + ahead * direction, direction))
-        material = direction - (there - here) / ahead
+        turning = self._layer.coupling.turning(place, direction, self._bevel)
+        material = direction - step.sample(track.table, forces, turning)
         return np.asarray(material / np.linalg.norm(material))
 
 

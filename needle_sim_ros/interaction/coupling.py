@@ -68,8 +68,26 @@ class Coupling:
         section, _ = self._section(direction)
         places = (point + steps + section[None, :, :]).reshape(-1, len(point))
         nodes, values, inside = self._model.shape_functions(places)
-        touched = nodes[inside][np.abs(values[inside]) > 1e-12]
-        return np.unique(touched)
+        return np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])
+
+    def turning(self, point: Vector, direction: Vector, length: float) -> Footprint:
+        """Return how the mean displacement changes per length from a point along a direction.
+
+        Cross-sections at the point and a length ahead of it; weights add up to zero.
+        """
+        section, share = self._section(direction)
+        places = np.concatenate([point + section, point + length * direction + section])
+        nodes, values, inside = self._model.shape_functions(places)
+        weights = np.concatenate([-share, share])
+        weights[~inside] = 0.0
+        ends = len(share)
+        before, after = -weights[:ends].sum(), weights[ends:].sum()
+        if before <= 0 or after <= 0:  # one of them lies outside: nothing to compare
+            return Footprint(nodes[:1, 0], np.zeros(1))
+        weights[:ends] /= before * length
+        weights[ends:] /= after * length
+        merged, total = _merged(nodes, values * weights[:, None])
+        return Footprint(merged, total)
 
     def _section(self, direction: Vector) -> tuple[Vector, Vector]:
         normal = np.array([-direction[1], direction[0]])
@@ -82,11 +100,16 @@ class Coupling:
             if not inside.any():
                 inside = np.ones(len(places), dtype=bool)
             nodes, values, weights = nodes[inside], values[inside], weights[inside]
-        share = values * weights[:, None]
-        merged, where = np.unique(nodes.ravel(), return_inverse=True)
-        total = np.bincount(where.ravel(), weights=share.ravel(), minlength=len(merged))
-        keep = np.abs(total) > 1e-14 * np.abs(total).max()
-        return Footprint(merged[keep], total[keep] / total.sum())
+        merged, total = _merged(nodes, values * weights[:, None])
+        return Footprint(merged, total / total.sum())
+
+
+def _merged(nodes: Index, shares: Vector) -> tuple[Index, Vector]:
+    """Add up the shares of each node; leave out those that get nothing."""
+    merged, where = np.unique(nodes.ravel(), return_inverse=True)
+    total = np.bincount(where.ravel(), weights=shares.ravel(), minlength=len(merged))
+    keep = np.abs(total) > 1e-14 * np.abs(total).max()
+    return merged[keep], total[keep]
 
 
 def coverage(depth: float, count: int, spacing: float) -> Vector:

@@ -18,7 +18,9 @@ from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseTable
 
 # track spacings ahead of the tip for which responses are prepared
-_FORESEEN = 12
+_FORESEEN = 14
+# ... and after how many new points they are looked at again
+_EVERY = 4
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ class TrackLayer:
             direction = direction / np.linalg.norm(direction)
         point = last + track.spacing * direction
         hat = self.coupling.hat(last, point, 2 * point - last)
-        ahead = self.coupling.ahead(point, direction, _FORESEEN * track.spacing)
-        track.table.compliance.expect(ahead)
+        if track.count % _EVERY == 0:
+            ahead = self.coupling.ahead(point, direction, _FORESEEN * track.spacing)
+            track.table.compliance.expect(ahead)
         return track._with(point, hat, self.laws, heading)

@@ -80,6 +80,7 @@ class NodalCompliance:
         self._lacking = False
         self._blocks = np.zeros((0, 0))
         self._read = np.zeros((readers.shape[0], 0))
+        self._scratch = np.empty(0)
         self._d = d
         self._expected: dict[int, Future[Vector]] = {}
         self._worker: ThreadPoolExecutor | None = None
@@ -217,24 +218,35 @@ class NodalCompliance:
         at_readers : ndarray, shape (r, d)
             Displacement at the readers per unit force component.
         """
-        self.ensure(footprint.nodes)
-        self.ensure(at)
-        self._complete(footprint.nodes, at)
-        d, slots, n = self._d, self._slot[footprint.nodes], self._d * len(self._kept)
-        at_nodes = np.empty((d, len(at), d))
+        at_nodes = self._at_nodes(footprint, at)
+        d, slots = self._d, self._slot[footprint.nodes]
         at_readers = np.empty((self._read.shape[0], d))
         for a in range(d):
-            rows = self._blocks[d * slots + a, :n]
-            rows *= footprint.weights[:, None]
-            # summed node by node: unlike a product it gives the same bits whatever n is
-            everywhere = np.add.reduce(rows, axis=0)
-            at_nodes[a] = everywhere.reshape(-1, d)[self._slot[at]]
             columns = self._read[:, d * slots + a]
             at_readers[:, a] = (columns * footprint.weights).sum(axis=1)
         return at_nodes, at_readers
 
-    def displacement(self, loaded: Index, loads: Vector, nodes: Index) -> Vector:
-        """Return the static displacement of nodes, (k, d), under loads on kept nodes.
+    def _at_nodes(self, footprint: Footprint, at: Index) -> Vector:
+        self.ensure(footprint.nodes)
+        self.ensure(at)
+        self._complete(footprint.nodes, at)
+        d, slots = self._d, self._slot[footprint.nodes]
+        places, n, width = self._slot[at], d * len(self._kept), self._blocks.shape[1]
+        if self._scratch.size < len(slots) * width:
+            self._scratch = np.empty(2 * len(slots) * width)
+        # memory of its own: fresh pages of this size would cost more than the sums
+        rows = self._scratch[: len(slots) * width].reshape(len(slots), width)
+        at_nodes = np.empty((d, len(at), d))
+        for a in range(d):
+            np.take(self._blocks, d * slots + a, axis=0, out=rows, mode="clip")
+            used = rows[:, :n]
+            used *= footprint.weights[:, None]
+            # summed node by node: unlike a product it gives the same bits whatever n is
+            at_nodes[a] = np.add.reduce(used, axis=0).reshape(-1, d)[places]
+        return at_nodes
+
+    def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:
+        """Return the static displacement of a footprint, (d,), under loads on kept nodes.
 
         Parameters
         ----------
@@ -242,12 +254,9 @@ class NodalCompliance:
             Nodes, which may repeat.
         loads : ndarray, shape (l, d)
             Forces on them, N.
-        nodes : ndarray of int, shape (k,)
+        footprint : Footprint
         """
-        self.ensure(nodes)
-        self._complete(nodes, loaded)
-        block = self._blocks[np.ix_(self._places(nodes), self._places(loaded))]
-        return np.asarray((block @ loads.ravel()).reshape(-1, self._d))
+        return np.einsum("akb,kb->a", self._at_nodes(footprint, loaded), loads)
 
     def _places(self, nodes: Index) -> Index:
         return np.asarray((self._d * self._slot[nodes][:, None] + np.arange(self._d)).ravel())

@@ -13,9 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import NodalCompliance
+from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.factor import Factor
-from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.response import ModalPart, ResponseTable
 
@@ -50,8 +49,8 @@ class Dynamics(Protocol):
         """End a step with forces (n, d) on the rows of a table; return the new state."""
         ...
 
-    def at_nodes(self, state: Any, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
-        """Return the displacement of nodes (k,), shape (k, d)."""
+    def at(self, state: Any, table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+        """Return the displacement of a footprint, shape (d,)."""
         ...
 
     def at_readers(self, state: Any, table: ResponseTable, forces: Vector) -> Vector:
@@ -97,9 +96,9 @@ class QuasiStatic:
         """Nothing is remembered."""
         return
 
-    def at_nodes(self, state: None, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
-        """Displacement of nodes from the kept responses."""
-        return self.compliance.displacement(table.nodes, table.loads(forces), nodes)
+    def at(self, state: None, table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+        """Displacement of a footprint from the kept responses."""
+        return self.compliance.displacement(table.nodes, table.loads(forces), footprint)
 
     def at_readers(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers from the kept responses."""

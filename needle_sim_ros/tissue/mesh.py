@@ -109,9 +109,10 @@ class TissueMesh:
 def _interval(lines: Vector, values: Vector) -> tuple[Index, Vector, NDArray[np.bool_]]:
     slack = 1e-9 * (lines[-1] - lines[0])
     inside = (values >= lines[0] - slack) & (values <= lines[-1] + slack)
-    index = np.clip(np.searchsorted(lines, values, side="right") - 1, 0, len(lines) - 2)
+    index = np.searchsorted(lines, values, side="right") - 1
+    index = np.minimum(np.maximum(index, 0), len(lines) - 2)
     part = (values - lines[index]) / (lines[index + 1] - lines[index])
-    return index, np.clip(part, 0.0, 1.0), inside
+    return index, np.minimum(np.maximum(part, 0.0), 1.0), inside
 
 
 def _drifted_interval(

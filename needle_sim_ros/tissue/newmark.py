@@ -14,10 +14,9 @@ import scipy.sparse as sp
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import NodalCompliance
+from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
-from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.response import ResponseTable
 
@@ -140,9 +139,11 @@ class FullNewmark:
         v, a = self.rule.rates(u, state.u, state.v, state.a)
         return Motion(u, v, a)
 
-    def at_nodes(self, state: Motion, table: ResponseTable, forces: Vector, nodes: Index) -> Vector:
-        """Displacement of nodes."""
-        return np.asarray(expand(self._model, state.u)[nodes])
+    def at(
+        self, state: Motion, table: ResponseTable, forces: Vector, footprint: Footprint
+    ) -> Vector:
+        """Displacement of a footprint."""
+        return np.asarray(footprint.weights @ expand(self._model, state.u)[footprint.nodes])
 
     def at_readers(self, state: Motion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""

@@ -16,10 +16,9 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import NodalCompliance
+from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
-from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import NewmarkRule
 from needle_sim_ros.tissue.response import ModalPart, ResponseTable
@@ -139,13 +138,13 @@ class ReducedNewmark:
         static = table.modal() @ filtered.ravel()
         return filtered, state.modal[0] - self._flexibility * static
 
-    def at_nodes(
-        self, state: ModalMotion, table: ResponseTable, forces: Vector, nodes: Index
+    def at(
+        self, state: ModalMotion, table: ResponseTable, forces: Vector, footprint: Footprint
     ) -> Vector:
-        """Displacement of nodes."""
+        """Displacement of a footprint."""
         filtered, modal = self._modal(state, table)
-        static = self.compliance.displacement(table.nodes, table.loads(filtered), nodes)
-        return np.asarray(static + self.modes.shapes[nodes] @ modal)
+        static = self.compliance.displacement(table.nodes, table.loads(filtered), footprint)
+        return np.asarray(static + modal @ self.modes.at(footprint))
 
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""

@@ -6,7 +6,7 @@ import pytest
 import scipy.sparse as sp
 
 from needle_sim_ros.interaction.coupling import Coupling
-from needle_sim_ros.tissue.compliance import NodalCompliance
+from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.response import ResponseTable
@@ -154,14 +154,14 @@ def test_displacement_of_the_rows(compliance, footprints):
     np.testing.assert_allclose(table.displacement(forces), expected, rtol=1e-12)
 
 
-def test_displacement_of_nodes(compliance, footprints, model, factor):
+def test_displacement_of_a_footprint(compliance, footprints, model, factor):
     """Superposition of the kept responses against one solve under all forces."""
     table = filled(compliance(), footprints)
     forces = np.random.default_rng(1).normal(size=(table.count, 2))
     loads = table.spread(forces)
-    nodes = np.array([0, 17, 200, 800])
     full = np.zeros(2 * model.nodes)
     full[model.free] = factor.solve(loads.ravel()[model.free])
-    found = table.compliance.displacement(table.nodes, table.loads(forces), nodes)
-    expected = full.reshape(-1, 2)[nodes]
+    place = Footprint(np.array([0, 17, 200, 800]), np.array([0.3, -1.0, 0.5, 2.0]))
+    found = table.compliance.displacement(table.nodes, table.loads(forces), place)
+    expected = place.weights @ full.reshape(-1, 2)[place.nodes]
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(full).max())

@@ -9,6 +9,7 @@ import pytest
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import eigsh, spsolve
 
+from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.newmark import Motion, NewmarkRule, effective_matrix
 
 NOTHING = np.zeros((2, 2))
@@ -191,8 +192,9 @@ def test_all_ways_to_read_the_tissue_agree(loaded, kind):
     scale = np.abs(everywhere).max()
     np.testing.assert_allclose(tissue.table.sample(everywhere), rows, atol=1e-10 * scale)
     nodes = np.arange(0, model.nodes, 7)
-    at_nodes = dynamics.at_nodes(after, tissue.table, PUSH, nodes)
-    np.testing.assert_allclose(at_nodes, everywhere[nodes], atol=1e-10 * scale)
+    place = Footprint(nodes, np.cos(nodes))
+    found = dynamics.at(after, tissue.table, PUSH, place)
+    np.testing.assert_allclose(found, place.weights @ everywhere[nodes], atol=1e-9 * scale)
     read = dynamics.at_readers(after, tissue.table, PUSH).reshape(-1, 2)
     places = np.array([[0.01, -0.01], [-0.03, -0.05]])
     shown = model.sampling(places) @ everywhere.ravel()[model.free]
