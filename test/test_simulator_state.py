@@ -189,6 +189,16 @@ def test_snapshots_bring_back_the_laws(coarse_scene):
     assert sim.scene.interaction.friction.kinetic == 14.0
 
 
+def test_reset_keeps_changed_laws(coarse_scene):
+    """They are parameters: what starts anew is the insertion."""
+    sim = Simulator(coarse_scene())
+    sim.change_interaction({"cutting.force": 0.1})
+    sim.reset()
+    step(sim, *[DOWN] * 150)
+    assert sim.scene.interaction.cutting.force == 0.1
+    assert sim.observe().tip_force == pytest.approx(0.1, rel=1e-9)
+
+
 def test_statistics_count(simulator, coarse_scene):
     sim = Simulator(coarse_scene())
     step(sim, *[DOWN] * 120)
