@@ -47,6 +47,7 @@ class Snapshot(NamedTuple):
     process: Process
     contact: ContactState
     tissue: Any
+    scene: Scene  # with the laws of that time
 
 
 class Simulator:
@@ -95,6 +96,7 @@ class Simulator:
             Process.FREE,
             self._contact_laws.at_rest(),
             self._dynamics.initial(),
+            scene,
         )
 
     # ------------------------------------------------------------------------- ticking
@@ -152,7 +154,15 @@ class Simulator:
             pose = after
         process = classify(contact.touching, contact.inserted, advance)
         self._state = Snapshot(
-            state.time + dt, state.ticks + 1, position, quaternion, pose, process, contact, tissue
+            state.time + dt,
+            state.ticks + 1,
+            position,
+            quaternion,
+            pose,
+            process,
+            contact,
+            tissue,
+            state.scene,
         )
         self._observation = None
         self.statistics.solves = self._factor.solves
@@ -313,15 +323,18 @@ class Simulator:
         return self._state
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a state of this simulator, exactly."""
+        """Go back to a state of this simulator, exactly; its laws of that time too."""
         if not isinstance(snapshot, Snapshot):
             raise CommandError(f"not a snapshot: {type(snapshot).__name__}")
+        if snapshot.scene is not self.scene:
+            self._contact_laws.change_laws(Laws(snapshot.scene), snapshot.contact)
+            self.scene = snapshot.scene
         self._state = snapshot
         self._observation = None
 
     def reset(self) -> Observation:
-        """Go back to the start."""
-        self._state = self._start
+        """Go back to the start; laws that were changed stay changed."""
+        self._state = self._start._replace(scene=self.scene)
         self._observation = None
         return self.observe()
 
@@ -373,5 +386,5 @@ class Simulator:
         scene = self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
         contact = self._contact_laws.change_laws(Laws(scene), self._state.contact)
         self.scene = scene
-        self._state = self._state._replace(contact=contact)
+        self._state = self._state._replace(contact=contact, scene=scene)
         self._observation = None

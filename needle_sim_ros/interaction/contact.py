@@ -123,7 +123,7 @@ class Contact:
         if ends[-1] >= 0:
             return self._released(state, step)
         starts = self._tip(step.before)
-        part = starts[-1] / (starts[-1] - ends[-1]) if starts[-1] > 0 else 1.0
+        part = starts[-1] / (starts[-1] - ends[-1]) if starts[-1] > 0 else 0.0
         entry = starts + part * (ends - starts)
         entry[-1] = 0.0
         if (np.abs(entry[:-1]) > self._half[:-1]).any():
