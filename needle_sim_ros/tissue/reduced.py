@@ -27,13 +27,12 @@ from needle_sim_ros.tissue.response import ModalPart, ResponseTable
 
 @dataclass(frozen=True)
 class ModalMotion:
-    """Modal displacement, velocity, acceleration; filtered and last forces, (n, d) each."""
+    """Modal displacement, velocity, acceleration; filtered forces, (n, d)."""
 
     u: Vector
     v: Vector
     a: Vector
     filtered: Vector
-    forces: Vector
 
 
 @dataclass(frozen=True)
@@ -96,11 +95,10 @@ class ReducedNewmark:
             self.eigenvalues + 1.0 / (rule.xi * rule.step**2) + stiff * self._damping
         )
         self._flexibility = 1.0 / self.eigenvalues
-        ratio = np.inf if rule.beta == 0 else rule.step / rule.beta
-        weight = 1.0 + rule.delta * ratio
-        self._share = 1.0 if rule.beta == 0 else rule.delta * ratio / weight
-        self._of_filtered = 0.0 if rule.beta == 0 else (1 - (1 - rule.delta) * ratio) / weight
-        self._of_forces = 0.0 if rule.beta == 0 else (1 - rule.delta) * ratio / weight
+        # beta u' + u = C f, exactly for the force of the step: a trapezoid rule would answer
+        # every jump of velocity at the contact with a force that alternates for ever
+        self._kept = 0.0 if rule.beta == 0 else float(np.exp(-rule.step / rule.beta))
+        self._share = 1.0 - self._kept
         nodal = np.stack([expand(model, shape) for shape in shapes.T], axis=2)
         self.modes = ModalPart(nodal, self._dynamic, self._flexibility, self._share)
         self._read_shapes = compliance.reader_matrix @ shapes
@@ -109,14 +107,13 @@ class ReducedNewmark:
     def initial(self) -> ModalMotion:
         """At rest."""
         zero, none = np.zeros(len(self.eigenvalues)), np.zeros((0, self._model.dimension))
-        return ModalMotion(zero, zero, zero, none, none)
+        return ModalMotion(zero, zero, zero, none)
 
     def predict(self, state: ModalMotion) -> ModalPrediction:
         """Move the modes without load at the end of the step."""
         inertia, damping = self.rule.history(state.u, state.v, state.a)
         u = self._dynamic * (inertia + self._damping * damping)
-        filtered = self._of_filtered * state.filtered + self._of_forces * state.forces
-        return ModalPrediction(u, filtered, self._flexibility)
+        return ModalPrediction(u, self._kept * state.filtered, self._flexibility)
 
     def complete(
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
@@ -125,7 +122,7 @@ class ReducedNewmark:
         u = prediction.u + self._dynamic * (table.modal() @ forces.ravel())
         v, a = self.rule.rates(u, state.u, state.v, state.a)
         filtered = self._share * forces + _widened(prediction.filtered, table.count)
-        return ModalMotion(u, v, a, filtered, forces)
+        return ModalMotion(u, v, a, filtered)
 
     def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
         filtered = _widened(state.filtered, table.count)
