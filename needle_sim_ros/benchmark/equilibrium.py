@@ -169,10 +169,10 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     law = scene.interaction.friction
     pose = state.pose
     advance = float(pose.axial @ (pose.origin - before.pose.origin))
-    # what slides goes on sliding by the advance; what turns round sticks first
+    # what slides goes on sliding by the advance; what turns round meets the static limit
     onward = np.where(past.status[:-1] * advance > 0, abs(advance), 0.0)
-    slip = np.where(past.strain * advance < 0, 0.0, past.slip + onward)
-    fallen = np.clip(1.0 - slip / law.weakening_distance, 0.0, 1.0)
+    fallen = np.clip(1.0 - (past.slip + onward) / law.weakening_distance, 0.0, 1.0)
+    fallen[contact.friction * past.strain < 0] = 1.0
     limit = (track.kinetic[:n] + (track.static - track.kinetic)[:n] * fallen) * length
     presliding = contact.friction / (law.presliding_stiffness * np.maximum(length, 1e-300))
     used = length > 1e-6 * track.spacing

@@ -37,10 +37,11 @@ AXES: dict[str, tuple[float, ...]] = {
     "track_spacing": (7e-4, 1e-3, 2e-3, 3e-3),
     "friction": (0.0, 0.01, 0.03, 0.06),
     "cutting": (0.0, 2e-4, 1e-3),
-    "presliding": (3e3, 3e4),
+    "presliding": (3e4, 3e5),
     "deviation": (0.0, 0.05, -0.3),
     "ripple": (0.0, 0.0, 0.3),
     "dynamics": (0, 1, 2),
+    "newmark_delta": (0.5, 0.7, 1.0),
 }
 DYNAMICS = ("quasi_static", "newmark", "reduced")
 _MODES = 20
@@ -346,6 +347,10 @@ def _scene(number: int, level: dict[str, float], setting: _Setting) -> dict[str,
             "dynamics": "quasi_static" if dynamics == "quasi_static" else "newmark",
             "modes": _MODES if dynamics == "reduced" else 0,
             "time_step": level["time_step"],
+            "newmark": {
+                "delta": level["newmark_delta"],
+                "xi": 0.25 * (0.5 + level["newmark_delta"]) ** 2,
+            },
             "track_spacing": setting.spacing,
         },
         "base": {

@@ -178,7 +178,7 @@ class Balance:
         share = tip_share(length, depth, limit.spread, h)
         slip, strain = _fitted(slip, n), _fitted(strain, n)
         guess = _guess(status, n)
-        expected = expected_slip(slip, strain, guess[:-1], step.advance)
+        low, high = self._limits(track, slip, strain, guess[:-1], step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
         soft = np.zeros(held)
         soft[1:] = self._softness(track, behind[1:held], limit.spread)
@@ -194,7 +194,8 @@ class Balance:
             aside=((pose.origin - track.points[:held] - free[:held]) @ pose.lateral.T).T.ravel(),
             elastic=strain + (step.advance + (moved[:n] - free[:n]) @ pose.axial),
             reach=self._length - float(pose.axial @ end),
-            bound=self.laws.friction(track.static[:n], track.kinetic[:n], expected) * length,
+            low=-low * length,
+            high=high * length,
             tip_bound=limit.force,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
@@ -220,7 +221,7 @@ class Balance:
             arclength=problem.arclength,
             share=share,
             strain=new_strain,
-            slip=self._slip(slip, strain, found, problem.bound, slid, step.advance),
+            slip=self._slip(slip, strain, found, problem, slid, step.advance),
             moved=after,
             forces=forces,
             status=found.status,
@@ -229,12 +230,31 @@ class Balance:
             overlap=found.overlap,
         )
 
+    def _limits(
+        self,
+        track: Track,
+        slip: Vector,
+        strain: Vector,
+        status: NDArray[np.int8],
+        advance: float,
+    ) -> tuple[Vector, Vector]:
+        """Return the friction limits of a step per length, back and forth, N/m, shapes (n,).
+
+        What slides goes on sliding by the advance of the needle; what turns round has to
+        stick first, so that in the other direction the static limit stands.
+        """
+        n = len(slip)
+        static, kinetic = track.static[:n], track.kinetic[:n]
+        onward = np.where(status * advance > 0, abs(advance), 0.0)
+        along = self.laws.friction(static, kinetic, slip + onward)
+        return np.where(strain > 0, static, along), np.where(strain < 0, static, along)
+
     def _slip(
         self,
         slip: Vector,
         strain: Vector,
         found: TrackForces,
-        bound: Vector,
+        problem: SlidingProblem,
         slid: Vector,
         advance: float,
     ) -> Vector:
@@ -253,6 +273,7 @@ class Balance:
                 after[~sliding] = 0.0
             else:
                 whole = self.laws.interaction.friction.weakening_distance
+                bound = np.where(found.friction > 0, problem.high, -problem.low)
                 loaded = whole * np.abs(found.friction) / np.maximum(bound, 1e-300)
                 np.minimum(after, loaded, out=after, where=~sliding)
         return after
@@ -267,27 +288,6 @@ class Balance:
         soft = (bevel / (self._grip * track.spacing)) / behind
         soft -= 1.0 / (self._grip * track.spacing)
         return np.maximum(soft, 0.0, out=soft)
-
-
-def expected_slip(slip: Vector, strain: Vector, status: NDArray[np.int8], advance: float) -> Vector:
-    """Return the slip by which the friction limits of a step go, shape (n,), m.
-
-    What slides goes on sliding by the advance of the needle; what the needle now drags the
-    other way has to stick first.
-
-    Parameters
-    ----------
-    slip, strain : ndarray, shape (n,)
-        Slip and elastic presliding before the step, m.
-    status : ndarray of int8, shape (n,)
-        Which points slid, and which way.
-    advance : float
-        m.
-    """
-    if advance == 0:
-        return slip
-    onward = status * advance > 0
-    return np.where(strain * advance < 0, 0.0, slip + np.where(onward, abs(advance), 0.0))
 
 
 def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Vector:

@@ -30,6 +30,9 @@ _FORESIGHT = 0.98
 # how far the tip may end from where a step took it to be, in track spacings
 _SETTLED = 0.02
 _MOST_ROUNDS = 400
+# how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
+# way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
+_FARTHEST = 4
 
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
@@ -189,6 +192,11 @@ class Contact:
         """Insertion, hold and retraction: find the forces and how far the tip gets."""
         assert state.track is not None
         advance = step.advance
+        if abs(advance) > _FARTHEST * state.track.spacing:
+            raise CommandError(
+                f"the needle would go {abs(advance):g} m in one time step, more than "
+                f"{_FARTHEST} times solver.track_spacing: solver.time_step is too long for it"
+            )
         heading = 0 if abs(advance) <= STILL else (1 if advance > 0 else -1)
         rate = state.rate if heading == state.heading else 0.0
         depth, front = state.depth, state.front

@@ -75,8 +75,8 @@ class SlidingProblem:
         Presliding that would be without forces, m.
     reach : float
         How far the tip would be beyond the end of the track without forces, m.
-    bound : ndarray, shape (n,)
-        Friction limits, N.
+    low, high : ndarray, shape (n,)
+        Friction limits against and along the axis, N.
     tip_bound : float
         Limit of the tip force, N.
     rigidity : float
@@ -95,7 +95,8 @@ class SlidingProblem:
     aside: Vector
     elastic: Vector
     reach: float
-    bound: Vector
+    low: Vector
+    high: Vector
     tip_bound: float
     rigidity: float
     tolerance: float
@@ -112,7 +113,7 @@ class SlidingProblem:
         """Solve with friction and tip at the guessed bounds; None if they do not hold."""
         pose, k = self.pose, len(self.arclength)
         m = len(pose.lateral)
-        friction = self.bound * status[:-1]
+        friction = np.where(status[:-1] > 0, self.high, self.low)
         tip = self.tip_bound if status[-1] > 0 else 0.0
         forces = np.multiply.outer(friction + tip * self.share, pose.axial)
         pushed = (self.between @ forces.ravel()).reshape(forces.shape)
@@ -165,7 +166,7 @@ class SlidingProblem:
 
     def _bounded(self, status: NDArray[np.int8]) -> TrackForces:
         """Solve the bounded problem in full."""
-        pose, k, n = self.pose, len(self.arclength), len(self.bound)
+        pose, k, n = self.pose, len(self.arclength), len(self.high)
         m = len(pose.lateral)
         wide = m * k
         size = wide + n + 1
@@ -190,8 +191,8 @@ class SlidingProblem:
         matrix[-1, -1] = self.share @ pressed + self.tip_softness
         right = np.concatenate([self.aside, self.elastic, [self.reach]])
         free = np.full(wide, np.inf)
-        low = np.concatenate([-free, -self.bound, [0.0]])
-        high = np.concatenate([free, self.bound, [self.tip_bound]])
+        low = np.concatenate([-free, self.low, [0.0]])
+        high = np.concatenate([free, self.high, [self.tip_bound]])
         guess = np.concatenate([np.zeros(wide, dtype=np.int8), status])
         found = solve_contact(matrix, right, low, high, guess, self.tolerance)
         state = found.status[wide:]
