@@ -27,8 +27,10 @@ Progress = Callable[[int, int], None]
 # Unknowns of a uniform grid from which nested dissection is faster, with less fill: at
 # 44 000 it factorises in half the time of minimum degree, at 178 000 in a quarter.
 _LARGE_GRID = 20_000
-# Unknowns of the path whose responses are kept, a square of numbers: 1.2 GB.
+# Unknowns of the path whose responses are kept, a square of numbers: 1.2 GB. A uniform grid
+# is as fine everywhere as on the path: there it is the solves, that many numbers take half a minute.
 _MOST_KEPT = 12_000
+_MOST_WORK = 5e7
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,8 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
     tile = (2.2 * scene.needle.radius,) * (scene.dimension - 1) + (4 * along,)
     center = plane_points(path.entry, scene.dimension)[0]
     touched = _touched(scene, model)
-    compliance = (
-        NodalCompliance(model, factor, readers, tile, center)
-        if scene.dimension * len(touched) <= _MOST_KEPT
-        else DirectCompliance(model, factor, readers, tile, center)
-    )
+    kind = NodalCompliance if _worth_keeping(model, touched) else DirectCompliance
+    compliance = kind(model, factor, readers, tile, center)
     dynamics: Dynamics
     if full:
         dynamics = FullNewmark(model, factor, compliance, rule)
@@ -89,6 +88,13 @@ def _order(model: TissueModel) -> Index | None:
     if not model.scene.tissue.mesh.uniform or len(model.free) < _LARGE_GRID:
         return None
     return unknowns_order(model.stiffness, model.coordinates[:, model.free // model.dimension])
+
+
+def _worth_keeping(model: TissueModel, touched: Index) -> bool:
+    """Whether to prepare the responses of the nodes of the path before the first tick."""
+    count = model.dimension * len(touched)
+    work = count * len(model.free) if model.scene.tissue.mesh.uniform else 0
+    return count <= _MOST_KEPT and work <= _MOST_WORK
 
 
 def _touched(scene: Scene, model: TissueModel) -> Index:

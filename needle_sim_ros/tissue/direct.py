@@ -29,6 +29,9 @@ class DirectCompliance(NodalCompliance):
         """Do nothing."""
         return 0
 
+    def expect(self, nodes: Index) -> None:
+        """Do nothing."""
+
     def response(self, footprint: Footprint, at: Index) -> tuple[Vector, Vector]:
         """Return the response to unit forces spread by a footprint; d solves.
 
@@ -53,4 +56,5 @@ class DirectCompliance(NodalCompliance):
         flat = loads.transpose(0, 2, 1).reshape(len(places), -1)
         for case, forces in enumerate(flat.T):
             np.add.at(right[:, case], places[held], forces[held])
+        self.waits += 1
         return self._factor.solve(right)
