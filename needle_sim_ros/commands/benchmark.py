@@ -69,8 +69,10 @@ def _milliseconds(text: str) -> float:
     """Read a time as ms; without a unit it is in ms."""
     units = {"us": 1e-3, "ms": 1.0, "s": 1e3}
     number = text.rstrip("umsµ")
-    value = float(number) * units[text[len(number) :].strip().replace("µ", "u") or "ms"]
-    return _above_zero(value)
+    unit = text[len(number) :].replace("µ", "u") or "ms"
+    if unit not in units:
+        raise ValueError
+    return _above_zero(float(number) * units[unit])
 
 
 def _fraction(text: str) -> float:

@@ -76,15 +76,14 @@ def assemble(
     value = np.array([np.broadcast_to(f[0], basis.dx.shape) for f in basis.basis])
     where = np.asarray(basis.global_coordinates())
     at = material(where)
-    stiffness = sp.csr_array((d * nodes, d * nodes))
-    mass = sp.csr_array((nodes, nodes))
+    stiffness, mass = _Sum(d * nodes), _Sum(nodes)
     for start in range(0, dofs.shape[1], _CHUNK):
         part = slice(start, start + _CHUNK)
         cut = Material(at.lame[part], at.shear[part], at.density[part])
         block = _stiffness(gradient[:, :, part], basis.dx[part], where[:, part], cut, element)
         here = dofs[:, part]
         wide = (d * here[:, None, :] + np.arange(d)[None, :, None]).reshape(-1, here.shape[1])
-        stiffness = stiffness + _scatter(block, wide, d * nodes)
+        stiffness.add(_scatter(block, wide, d * nodes))
         small = np.einsum(
             "ieq,jeq,eq->eij",
             value[:, part],
@@ -92,8 +91,8 @@ def assemble(
             cut.density * basis.dx[part],
             optimize=True,
         )
-        mass = mass + _scatter(small, here, nodes)
-    return stiffness, mass
+        mass.add(_scatter(small, here, nodes))
+    return stiffness.total(), mass.total()
 
 
 def _stiffness(gradient: Vector, dx: Vector, where: Vector, at: Material, element: str) -> Vector:
@@ -132,6 +131,28 @@ def _pressures(where: Vector, dx: Vector, kind: str) -> Vector:
         offset = x - (x * dx).sum(axis=1, keepdims=True) / volume
         linear.append(offset / np.sqrt((offset**2 * dx).sum(axis=1, keepdims=True) / volume))
     return np.array([one, *linear])
+
+
+class _Sum:
+    """Adds sparse matrices in pairs of like size: each entry is copied few times."""
+
+    def __init__(self, size: int) -> None:
+        self._parts: list[tuple[int, sp.csr_array]] = [(0, sp.csr_array((size, size)))]
+
+    def add(self, matrix: sp.csr_array) -> None:
+        """Add a matrix."""
+        count = 1
+        while self._parts and self._parts[-1][0] <= count:
+            more, other = self._parts.pop()
+            matrix, count = other + matrix, count + more
+        self._parts.append((count, matrix))
+
+    def total(self) -> sp.csr_array:
+        """Return the sum of all that was added."""
+        total = self._parts.pop()[1]
+        while self._parts:
+            total = self._parts.pop()[1] + total
+        return total
 
 
 def _scatter(blocks: Vector, dofs: NDArray[np.int32], size: int) -> sp.csr_array:
