@@ -116,7 +116,7 @@ def test_restore_wants_a_snapshot(simulator):
 def test_a_rollout_is_stepping(coarse_scene, changes):
     commands = trip(100, 10, 2, 5, 0)
     one, other = (Simulator(coarse_scene(changes)) for _ in range(2))
-    found = one.rollout(commands, DT, MEMBERS[:9] + ("marker_displacements",))
+    found = one.rollout(commands, DT, (*MEMBERS[:9], "marker_displacements"))
     observations = [other.step(command, DT) for command in commands]
     for name, series in found.items():
         expected = np.array([getattr(o, name) for o in observations])

@@ -185,7 +185,7 @@ def run_cell(cell: Cell) -> CellResult:
         _judge(cell, result)
     except SceneError as error:
         result.verdict, result.reason = "refused", f"SceneError: {error}"
-    except Exception as error:  # noqa: BLE001: whatever it is, it is what this cell shows
+    except Exception as error:  # whatever it is, it is what this cell shows
         result.fail(f"{type(error).__name__}: {error}")
     return result
 

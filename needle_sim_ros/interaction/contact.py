@@ -15,7 +15,7 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import STILL, Balance, TipLimit
+from needle_sim_ros.interaction.balance import Balance, BalanceSolution, STILL, TipLimit
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
@@ -30,6 +30,8 @@ _FORESIGHT = 0.98
 # how far the tip may end from where a step took it to be, in track spacings
 _SETTLED = 0.02
 _MOST_ROUNDS = 400
+# parts of a segment that the tip has passed when the point after it is aimed, prepared, laid
+_AIMED, _PREPARED, _LAID = 0.5, 0.65, 0.8
 # how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
 # way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
 _FARTHEST = 4
@@ -177,7 +179,7 @@ class Contact:
         # the surface breaks: the same step goes on with a track
         slope = self._balance.slope(solution)
         direction = self._heading(step, state.track, slope, state.forces, 0.0)
-        track = self._layer.extend(state.track, direction)
+        track = self._layer.extend(self._layer.aim(state.track, direction))
         wider = np.zeros_like(track.points)
         wider[:1] = state.moved
         return self.at_rest()._replace(
@@ -212,16 +214,7 @@ class Contact:
         solves = 0
         solution = None
         for _ in range(_MOST_ROUNDS):
-            while depth >= (track.count - 1) * track.spacing:
-                slope = self._balance.slope(solution or state)
-                direction = self._heading(step, track, slope, forces, depth)
-                beyond = depth - (track.count - 1) * track.spacing
-                if heading <= 0 and beyond <= _SETTLED * track.spacing:
-                    # where the tissue ends, a needle that goes back needs no more track
-                    point = track.points[-1] + track.spacing * direction
-                    if not self._in_tissue(point):
-                        break
-                track = self._extended(track, direction)
+            track = self._grown(track, step, solution or state, forces, depth, heading)
             moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
             solution = self._balance.inserted(
@@ -302,11 +295,45 @@ class Contact:
         deep = -2 * self._half[-1] <= point[-1] <= 0
         return bool(deep and (np.abs(point[:-1]) <= self._half[:-1]).all())
 
-    def _extended(self, track: Track, direction: Vector) -> Track:
-        point = track.points[-1] + track.spacing * direction
-        if not self._in_tissue(point):
-            raise CommandError(f"the tip would leave the tissue at {point.tolist()} m")
-        return self._layer.extend(track, direction)
+    def _grown(
+        self,
+        track: Track,
+        step: Step,
+        bent: ContactState | BalanceSolution,
+        forces: Vector,
+        depth: float,
+        heading: int,
+    ) -> Track:
+        """Keep the track ahead of the tip.
+
+        A point is aimed, prepared and laid while the tip passes the last half of the
+        segment before it: one of these a tick, unless the tip is there already.
+        """
+        while True:
+            passed = depth / track.spacing - (track.count - 2)
+            due = passed >= 1.0
+            if passed < _AIMED:
+                return track
+            if track.ahead is None:
+                direction = self._heading(step, track, self._balance.slope(bent), forces, depth)
+                aimed = self._layer.aim(track, direction)
+                assert aimed.ahead is not None
+                if not self._in_tissue(aimed.ahead.point):
+                    beyond = (passed - 1.0) * track.spacing
+                    if not due or (heading <= 0 and beyond <= _SETTLED * track.spacing):
+                        return track  # there is room up to the last point
+                    raise CommandError(
+                        f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m"
+                    )
+                track = aimed
+            elif track.ahead.footprint is None and (due or passed >= _PREPARED):
+                track = self._layer.prepare(track)
+            elif track.ahead.footprint is None or not (due or passed >= _LAID):
+                return track
+            else:
+                track = self._layer.extend(track)
+            if not due:
+                return track
 
     def _heading(
         self, step: Step, track: Track, slope: Vector, forces: Vector, depth: float

@@ -8,6 +8,7 @@ track without remeshing, and the track stays as a channel when the needle is dra
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,14 @@ from needle_sim_ros.tissue.response import ResponseTable
 _FORESEEN = 14
 # ... and after how many new points they are looked at again
 _EVERY = 4
+
+
+class NextPoint(NamedTuple):
+    """A point to be laid: its place, the cut's heading then, and its footprint once known."""
+
+    point: Vector
+    heading: Vector
+    footprint: Footprint | None
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,9 @@ class Track:
     table : ResponseTable
         One row per point.
     heading : ndarray, shape (d,), or None
-        Unit direction of the cut when the last point was laid.
+        Unit direction of the cut half a spacing before the tip reached the last segment.
+    ahead : NextPoint or None
+        The next point, as far as it is prepared.
     """
 
     spacing: float
@@ -47,6 +58,7 @@ class Track:
     kinetic: Vector
     table: ResponseTable
     heading: Vector | None = None
+    ahead: NextPoint | None = None
 
     @property
     def count(self) -> int:
@@ -117,24 +129,38 @@ class TrackLayer:
         """Start with the cross-section at the entry, perpendicular to a unit direction."""
         return self._empty._with(entry, self.coupling.section(entry, direction), self.laws)
 
-    def extend(self, track: Track, heading: Vector) -> Track:
-        """Lay a point h_t ahead of the last one.
+    def aim(self, track: Track, heading: Vector) -> Track:
+        """Decide where the next point goes.
 
         Parameters
         ----------
         track : Track
         heading : ndarray, shape (d,)
-            Unit direction of the cut now, at the last point. The new piece takes the
-            direction expected at its middle, from this and the last heading, so that the
-            path converges with the square of the spacing.
+            Unit direction of the cut now, half a spacing before the last point. The new
+            piece takes the direction expected at its middle, from this and the last
+            heading, so that the path converges with the square of the spacing.
         """
         last, direction = track.points[-1], heading
         if track.heading is not None:
-            direction = 1.5 * heading - 0.5 * track.heading
+            direction = 2.0 * heading - track.heading
             direction = direction / np.linalg.norm(direction)
-        point = last + track.spacing * direction
+        ahead = NextPoint(last + track.spacing * direction, heading, None)
+        return replace(track, ahead=ahead)
+
+    def prepare(self, track: Track) -> Track:
+        """Find out what the next point touches, and have prepared what comes after it."""
+        assert track.ahead is not None
+        last, point = track.points[-1], track.ahead.point
         hat = self.coupling.hat(last, point, 2 * point - last)
         if track.count % _EVERY == 0:
-            ahead = self.coupling.ahead(point, direction, _FORESEEN * track.spacing)
-            track.table.compliance.expect(ahead)
-        return track._with(point, hat, self.laws, heading)
+            direction = (point - last) / track.spacing
+            nodes = self.coupling.ahead(point, direction, _FORESEEN * track.spacing)
+            track.table.compliance.expect(nodes)
+        return replace(track, ahead=track.ahead._replace(footprint=hat))
+
+    def extend(self, track: Track) -> Track:
+        """Lay the next point."""
+        if track.ahead is None or track.ahead.footprint is None:
+            track = self.prepare(track)
+        assert track.ahead is not None and track.ahead.footprint is not None
+        return track._with(track.ahead.point, track.ahead.footprint, self.laws, track.ahead.heading)

@@ -42,10 +42,11 @@ class DirectCompliance(NodalCompliance):
         at_nodes = np.stack([expand(self._model, u)[at] for u in moved.T])
         return at_nodes, np.asarray(self.reader_matrix @ moved)
 
-    def displacement(self, loaded: Index, loads: Vector, nodes: Index) -> Vector:
-        """Return the static displacement of nodes, (k, d), under loads on nodes; one solve."""
+    def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:
+        """Return the static displacement of a footprint, (d,), under loads; one solve."""
         moved = self._solved(loaded, loads[:, None, :])
-        return np.asarray(expand(self._model, moved[:, 0])[nodes])
+        nodal = expand(self._model, moved[:, 0])
+        return np.asarray(footprint.weights @ nodal[footprint.nodes])
 
     def _solved(self, nodes: Index, loads: Vector) -> Vector:
         """Return the displacements (free, c) under c cases of forces, loads (l, c, d)."""

@@ -25,10 +25,11 @@ from needle_sim_ros.tissue.response import ModalPart, ResponseTable
 
 
 class ModalMotion(NamedTuple):
-    """Modal displacement, velocity, acceleration (3, m); filtered forces, (n, d)."""
+    """Modal displacement, velocity, acceleration (3, m); filtered and last forces, (n, d)."""
 
     modal: Vector
     filtered: Vector
+    forces: Vector
 
 
 class ModalPrediction(NamedTuple):
@@ -101,10 +102,12 @@ class ReducedNewmark:
         self._rates_of_old = np.array([[0.0] * 3, *np.array(kept)[:, :, 0].T])
         made = rule.rates(one, zero, zero, zero)
         self._rates_of_new = np.array([[1.0], made[0], made[1]])
-        # beta u' + u = C f, exactly for the force of the step: a trapezoid rule would answer
-        # every jump of velocity at the contact with a force that alternates for ever
-        self._kept = 0.0 if rule.beta == 0 else float(np.exp(-rule.step / rule.beta))
-        self._share = 1.0 - self._kept
+        # beta u' + u = C f by the same rule as the modes, so that full order is what it tends to
+        ratio = np.inf if rule.beta == 0 else rule.step / rule.beta
+        weight = 1.0 + rule.delta * ratio
+        self._share = 1.0 if rule.beta == 0 else rule.delta * ratio / weight
+        self._of_filtered = 0.0 if rule.beta == 0 else (1 - (1 - rule.delta) * ratio) / weight
+        self._of_forces = 0.0 if rule.beta == 0 else (1 - rule.delta) * ratio / weight
         nodal = np.stack([expand(model, shape) for shape in shapes.T], axis=2)
         self.modes = ModalPart(nodal, self._dynamic, self._flexibility, self._share)
         self._read_shapes = compliance.reader_matrix @ shapes
@@ -113,12 +116,13 @@ class ReducedNewmark:
     def initial(self) -> ModalMotion:
         """At rest."""
         none = np.zeros((0, self._model.dimension))
-        return ModalMotion(np.zeros((3, len(self.eigenvalues))), none)
+        return ModalMotion(np.zeros((3, len(self.eigenvalues))), none, none)
 
     def predict(self, state: ModalMotion) -> ModalPrediction:
         """Move the modes without load at the end of the step (Eq. 4, mode by mode)."""
         u = np.einsum("im,im->m", self._carry, state.modal)
-        return ModalPrediction(u, self._kept * state.filtered, self._flexibility)
+        filtered = self._of_filtered * state.filtered + self._of_forces * state.forces
+        return ModalPrediction(u, filtered, self._flexibility)
 
     def complete(
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
@@ -128,7 +132,7 @@ class ReducedNewmark:
         modal = self._rates_of_old @ state.modal
         modal += self._rates_of_new * u
         filtered = self._share * forces + _widened(prediction.filtered, table.count)
-        return ModalMotion(modal, filtered)
+        return ModalMotion(modal, filtered, forces)
 
     def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
         filtered = _widened(state.filtered, table.count)

@@ -130,7 +130,11 @@ class ResponseTable:
         return np.asarray(np.add.reduceat(spread, self.starts, axis=0))
 
     def loads(self, forces: Vector) -> Vector:
-        """Spread forces on the rows, shape (n, d), to `nodes`; returns (len(nodes), d), N."""
+        """Spread forces on the first rows, (k, d), to `nodes`; returns (len(nodes), d), N."""
+        if len(forces) < self.count:
+            known = forces
+            forces = np.zeros((self.count, known.shape[1]))
+            forces[: len(known)] = known
         lengths = np.diff(np.append(self.starts, len(self.nodes)))
         return np.asarray(np.repeat(forces, lengths, axis=0) * self.weights[:, None])
 

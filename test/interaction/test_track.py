@@ -35,13 +35,17 @@ def layer(coarse_scene):
 def track(layer):
     track = layer.touch(np.zeros(2), DOWN)
     for direction in (DOWN, DOWN, ASIDE, ASIDE):
-        track = layer.extend(track, direction)
+        track = extended(layer, track, direction)
     return track
 
 
+def extended(layer, track, heading):
+    return layer.extend(layer.prepare(layer.aim(track, heading)))
+
+
 def turned(direction):
-    """The heading expected half a spacing on: half as far again as it turned since the last."""
-    ahead = 1.5 * direction - 0.5 * DOWN
+    """The heading expected a spacing on: as far again as it turned since the last."""
+    ahead = 2.0 * direction - DOWN
     return ahead / np.linalg.norm(ahead)
 
 
@@ -64,8 +68,9 @@ def test_a_turning_track_converges_with_the_square_of_the_spacing(coarse_scene, 
         finer = TrackLayer(layer.coupling, layer.laws, layer._empty.table, spacing)
         track = finer.touch(np.zeros(2), DOWN)
         for k in range(count):
-            angle = k * spacing / 0.04
-            track = finer.extend(track, np.array([math.sin(angle), -math.cos(angle)]))
+            angle = max(k - 0.5, 0.0) * spacing / 0.04  # half a spacing before the last point
+            heading = np.array([math.sin(angle), -math.cos(angle)])
+            track = extended(finer, track, heading)
         end = 0.04 * np.array([1 - math.cos(math.pi / 4), -math.sin(math.pi / 4)])
         misses.append(np.linalg.norm(track.points[-1] - end))
     assert misses[1] < 0.3 * misses[0] < 0.3 * 2e-4
@@ -93,8 +98,8 @@ def test_places_along_the_track(track, depth, place, direction):
 
 def test_extending_leaves_the_shorter_track_as_it_was(layer, track):
     before, points = track.table.between().copy(), track.points.copy()
-    layer.extend(track, DOWN)
-    layer.extend(track, ASIDE)
+    extended(layer, track, DOWN)
+    extended(layer, track, ASIDE)
     np.testing.assert_array_equal(track.points, points)
     np.testing.assert_array_equal(track.table.between(), before)
 
