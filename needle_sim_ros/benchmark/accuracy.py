@@ -17,7 +17,14 @@ import numpy as np
 
 from needle_sim_ros.benchmark.paper import PaperSimulator
 from needle_sim_ros.benchmark.result import BenchmarkResult, Row
-from needle_sim_ros.benchmark.trajectory import Errors, Recorded, Trajectory, errors, hurried
+from needle_sim_ros.benchmark.trajectory import (
+    Errors,
+    Recorded,
+    Trajectory,
+    driven_in,
+    errors,
+    hurried,
+)
 from needle_sim_ros.benchmark.variants import (
     Changes,
     Variant,
@@ -28,7 +35,6 @@ from needle_sim_ros.benchmark.variants import (
 )
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import SceneError
-from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.protocol import protocol_commands
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
@@ -53,18 +59,13 @@ class Pacer:
     def __init__(self, scene: Scene) -> None:
         self._simulator = PaperSimulator(scene)
         self._step = scene.solver.time_step
-        for command in protocol_commands(hurried(scene, _HASTE).protocol, self._step):
-            if self._simulator.step(command, self._step).process in _ENDED:
-                break
+        driven_in(self._simulator, hurried(scene, _HASTE))
 
     def once(self) -> float:
         """Return the time of one iteration, s."""
         began = time.perf_counter()
         self._simulator.step(BaseCommand(), self._step)
         return time.perf_counter() - began
-
-
-_ENDED = (Process.HOLD, Process.RETRACTION)
 
 
 @dataclass
@@ -108,7 +109,7 @@ class _Bench:
         setup = time.perf_counter() - began
         run, dt = Recorded(simulator), scene.solver.time_step
         commands = protocol_commands(scene.protocol, dt)
-        every, beside = max(1, len(commands) // _BESIDE), []
+        every, beside = max(5, len(commands) // _BESIDE), []
         for number, command in enumerate(commands):
             run.tick(command, dt)
             if self.pacer is not None and number % every == 0:

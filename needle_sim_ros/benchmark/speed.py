@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needle_sim_ros.benchmark.paper import PAPER_NODES, PaperSimulator
+from needle_sim_ros.benchmark.parts import costs
 from needle_sim_ros.benchmark.profile import sampled
 from needle_sim_ros.benchmark.result import BenchmarkResult, Row
 from needle_sim_ros.command import BaseCommand
@@ -109,6 +110,9 @@ def speed(
             progress(number + 1, len(hurried))
     result = BenchmarkResult("speed", scene.name, _figures(scene, runs), _rows(runs))
     result.table += _parts(scene, commands)
+    parts = costs(scene)
+    result.table += parts.table
+    result.figures |= parts.figures
     if node is not None:
         _measure_node(_hurried(scene) if quick else scene, node, result, runs)
     return result

@@ -13,6 +13,7 @@ from needle_sim_ros.benchmark.paper import PaperSimulator, PaperState
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.observation import Observation
+from needle_sim_ros.protocol import protocol_commands
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
 
@@ -141,3 +142,11 @@ def hurried(scene: Scene, factor: float) -> Scene:
         for segment in scene.protocol
     ]
     return scene.with_changes({"protocol": protocol})
+
+
+def driven_in(simulator: Simulator | PaperSimulator, scene: Scene) -> None:
+    """Follow a scene's protocol until the needle rests in the tissue or turns back."""
+    step = scene.solver.time_step
+    for command in protocol_commands(scene.protocol, step):
+        if simulator.step(command, step).process in (Process.HOLD, Process.RETRACTION):
+            return

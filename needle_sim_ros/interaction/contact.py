@@ -15,7 +15,7 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import Balance, BalanceSolution, STILL, TipLimit
+from needle_sim_ros.interaction.balance import STILL, Balance, BalanceSolution, TipLimit
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
@@ -326,12 +326,14 @@ class Contact:
                         f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m"
                     )
                 track = aimed
-            elif track.ahead.footprint is None and (due or passed >= _PREPARED):
+            elif track.ahead.footprint is None:
+                if not (due or passed >= _PREPARED):
+                    return track
                 track = self._layer.prepare(track)
-            elif track.ahead.footprint is None or not (due or passed >= _LAID):
-                return track
-            else:
+            elif due or passed >= _LAID:
                 track = self._layer.extend(track)
+            else:
+                return track
             if not due:
                 return track
 

@@ -27,8 +27,8 @@ Progress = Callable[[int, int], None]
 # Unknowns of a uniform grid from which nested dissection is faster, with less fill: at
 # 44 000 it factorises in half the time of minimum degree, at 178 000 in a quarter.
 _LARGE_GRID = 20_000
-# Unknowns of the path whose responses are kept, a square of numbers: 1.2 GB. A uniform grid is
-# as fine everywhere as on the path: there it is the solves, that many numbers take half a minute.
+# Unknowns of the path whose responses are kept, a square of numbers: 1.2 GB. A uniform grid
+# is as fine everywhere as on the path: there it is the numbers solved for, half a minute.
 _MOST_KEPT = 12_000
 _MOST_WORK = 5e7
 

@@ -21,6 +21,7 @@ _METHODS = {
     "newmark": (VERMILION, "^", "Newmark, every unknown"),
 }
 _PAPER = "paper"
+_PAPER_NAMES = {"o": "quasi-static", "^": "Newmark"}
 
 
 def front(rows: Sequence[Row]) -> list[Row]:
@@ -59,7 +60,7 @@ def pareto_figure(rows: Sequence[Row], title: str) -> Figure:
         ax.set_xlabel("median tick, needle inserted (ms)")
         ax.set_ylabel("largest error of any quantity over the protocol (%)")
         ax.set_title(title)
-        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+        ax.legend(loc="center right", bbox_to_anchor=(1.0, 0.62), borderaxespad=0.0)
     return figure
 
 
@@ -107,7 +108,7 @@ def _draw_method(ax: Axes, rows: Sequence[Row], colour: str, marker: str, name: 
                 markeredgecolor=colour,
                 markeredgewidth=1.5,
                 linestyle="none",
-                label=f"the paper's method, {name}",
+                label=f"the paper's method, {_PAPER_NAMES[marker]}",
                 zorder=5,
             )
 

@@ -40,6 +40,7 @@ def test_figures_have_the_names_that_others_read(measured):
         "newmark_over_quasi_static",
         "reduced_over_quasi_static",
         "node_overrun_fraction",
+        "unread_markers_over_none",
     }
     assert figures["node_overrun_fraction"] is None
     assert all(value > 0 for name, value in figures.items() if name != "node_overrun_fraction")
