@@ -13,9 +13,9 @@ from needle_sim_ros.errors import SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.elements import assemble, scalar_basis
+from needle_sim_ros.tissue.grid_order import nested_dissection
 from needle_sim_ros.tissue.material import MaterialField
 from needle_sim_ros.tissue.mesh import Index, build_mesh
-from needle_sim_ros.tissue.grid_order import nested_dissection
 
 
 class TissueModel:
