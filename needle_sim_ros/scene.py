@@ -37,9 +37,12 @@ class Damping:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Tissue mesh, graded to the needle's planned path; null means chosen from the needle."""
+    """Tissue mesh, graded to the needle's planned path; null means chosen from the needle.
 
-    element: Literal["quad2", "quad1", "tri2", "tri1"] = "quad2"
+    `element` null is quad2 in 2D and quad1 in 3D, where they are hexahedra.
+    """
+
+    element: Literal["quad2", "quad1", "tri2", "tri1"] | None = None
     spacing_across: float | None = quantity(None, unit="m", gt=0)
     spacing_along: float | None = quantity(None, unit="m", gt=0)
     growth: float = quantity(1.5, gt=1, le=4)
@@ -73,7 +76,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Tissue:
-    """Linear-elastic block, u = 0 on the fixed faces.
+    """Linear-elastic block, u = 0 on the fixed faces, on `rollers` only normal to the face.
 
     `size` is width x, depth z in 2D and x, y, z in 3D; `thickness` is out of plane (2D).
     """
@@ -86,6 +89,7 @@ class Tissue:
     plane: Literal["strain", "stress"] = "strain"
     damping: Damping = field(default_factory=Damping)
     fixed: tuple[Face, ...] | None = None
+    rollers: tuple[Face, ...] = ()
     regions: tuple[Region, ...] = ()
     mesh: Mesh = field(default_factory=Mesh)
 
@@ -236,7 +240,12 @@ class Scene:
             sides: tuple[Face, ...] = ("left", "right", "bottom") + (
                 ("front", "back") if self.dimension == 3 else ()
             )
-            object.__setattr__(self, "tissue", replace(self.tissue, fixed=sides))
+            free = tuple(face for face in sides if face not in self.tissue.rollers)
+            object.__setattr__(self, "tissue", replace(self.tissue, fixed=free))
+        if self.tissue.mesh.element is None:
+            element: Literal["quad2", "quad1"] = "quad2" if self.dimension == 2 else "quad1"
+            mesh = replace(self.tissue.mesh, element=element)
+            object.__setattr__(self, "tissue", replace(self.tissue, mesh=mesh))
         if self.interaction.puncture.force is None:
             broken = Puncture(self.interaction.cutting.force)
             changed = replace(self.interaction, puncture=broken)

@@ -66,6 +66,11 @@ def _tissue(scene: Scene) -> None:
         raise SceneError(
             "tissue.fixed", list(tissue.fixed), "a 2D scene has the faces left, right, bottom, top"
         )
+    _rollers(scene)
+    if scene.dimension == 3 and str(tissue.mesh.element).startswith("tri"):
+        raise SceneError(
+            "tissue.mesh.element", tissue.mesh.element, "must be quad1 or quad2 in 3D: hexahedra"
+        )
     for index, region in enumerate(tissue.regions):
         if np.linalg.norm(region.axis) < 1e-9:
             raise SceneError(f"tissue.regions[{index}].axis", list(region.axis), "must not be zero")
@@ -77,6 +82,21 @@ def _tissue(scene: Scene) -> None:
             raise SceneError(
                 f"tissue.regions[{index}].friction_static", static, f"must be >= kinetic, {least:g}"
             )
+
+
+def _rollers(scene: Scene) -> None:
+    tissue = scene.tissue
+    rollers = list(tissue.rollers)
+    if "top" in rollers:
+        raise SceneError(
+            "tissue.rollers", rollers, "the needle enters through the top: it must be free"
+        )
+    if set(rollers) & set(tissue.fixed or ()):
+        raise SceneError("tissue.rollers", rollers, "must not name a face of tissue.fixed")
+    if scene.dimension == 2 and {"front", "back"} & set(rollers):
+        raise SceneError(
+            "tissue.rollers", rollers, "a 2D scene has the faces left, right, bottom, top"
+        )
 
 
 def _region_inside(scene: Scene, index: int) -> None:
@@ -150,7 +170,7 @@ def _solver(scene: Scene) -> None:
             f"must be <= a quarter of needle.length, {scene.needle.length / 4:g}",
         )
     along = mesh.spacing_along
-    finest = 0.0 if along is None else along / (2 if mesh.element.endswith("2") else 1)
+    finest = 0.0 if along is None else along / (2 if str(mesh.element).endswith("2") else 1)
     if solver.track_spacing < finest * (1 - 1e-9):
         raise SceneError(
             "solver.track_spacing",

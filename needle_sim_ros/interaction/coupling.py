@@ -3,10 +3,10 @@
 
 P_k u = int phi_k <u> ds / int phi_k ds, with phi_k the hat function of track point k and
 <u> the mean over the cross-section perpendicular to the track: in 2D the chord of length
-2 r. The entry has no hat above the surface: it takes the cross-section itself. The same
-operator samples displacement (K_StoP, Eqs. 18 and 19) and spreads force (K_PtoS, its
-transpose, Eqs. 20 and 21), so action and reaction agree, and a limit under refinement
-exists, which point forces do not have.
+2 r, in 3D the disc of radius r. The entry has no hat above the surface: it takes the
+cross-section itself. The same operator samples displacement (K_StoP, Eqs. 18 and 19) and
+spreads force (K_PtoS, its transpose, Eqs. 20 and 21), so action and reaction agree, and a
+limit under refinement exists, which point forces do not have.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 
 _CHORD, _CHORD_WEIGHT = np.polynomial.legendre.leggauss(8)
+# in 3D rings of equal angles, Gauss's rule in the square of the radius
+_RINGS, _RING_WEIGHT = np.polynomial.legendre.leggauss(3)
+_ANGLES = (np.arange(8) + 0.5) * (np.pi / 4)
 # places along the track ahead of the tip at which its needs are foreseen
 _AHEAD = 8
 _ALONG, _ALONG_WEIGHT = np.polynomial.legendre.leggauss(3)
@@ -90,8 +93,21 @@ class Coupling:
         return Footprint(merged, total)
 
     def _section(self, direction: Vector) -> tuple[Vector, Vector]:
+        if len(direction) == 3:
+            return self._disc(direction)
         normal = np.array([-direction[1], direction[0]])
         return self._radius * _CHORD[:, None] * normal, 0.5 * _CHORD_WEIGHT
+
+    def _disc(self, direction: Vector) -> tuple[Vector, Vector]:
+        # two normals to the track; which ones hardly matters to a mean over the disc
+        other = np.eye(3)[0 if abs(direction[0]) < 0.8 else 1]
+        first = other - (other @ direction) * direction
+        first /= np.linalg.norm(first)
+        second = np.cross(direction, first)
+        radii = self._radius * np.sqrt(0.5 * (_RINGS + 1))
+        around = np.cos(_ANGLES)[:, None] * first + np.sin(_ANGLES)[:, None] * second
+        places = (radii[:, None, None] * around[None, :, :]).reshape(-1, 3)
+        return places, np.repeat(0.5 * _RING_WEIGHT / len(_ANGLES), len(_ANGLES))
 
     def _gather(self, places: Vector, weights: Vector) -> Footprint:
         nodes, values, inside = self._model.shape_functions(places)

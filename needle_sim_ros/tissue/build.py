@@ -16,7 +16,7 @@ from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.direct import DirectCompliance
 from needle_sim_ros.tissue.dynamics import Dynamics, QuasiStatic
 from needle_sim_ros.tissue.factor import Factor
-from needle_sim_ros.tissue.mesh import Index, planned_path, spacings
+from needle_sim_ros.tissue.mesh import Index, planned_path, spacings, steering
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import FullNewmark, NewmarkRule, effective_matrix
 from needle_sim_ros.tissue.ordering import unknowns_order
@@ -84,7 +84,9 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
 
 
 def _order(model: TissueModel) -> Index | None:
-    """Return an elimination order for large uniform grids, on which minimum degree fills."""
+    """Return an elimination order where minimum degree fills: large uniform grids, and 3D."""
+    if model.scene.dimension == 3:
+        return model.elimination_order
     if not model.scene.tissue.mesh.uniform or len(model.free) < _LARGE_GRID:
         return None
     return unknowns_order(model.stiffness, model.coordinates[:, model.free // model.dimension])
@@ -109,6 +111,10 @@ def _touched(scene: Scene, model: TissueModel) -> Index:
     radius = scene.needle.radius * (1 - 1e-9)
     # to the side to which the bevel steers, with room for what the tissue adds
     tip = scene.needle.tip
+    if scene.dimension == 3:
+        # no wider: solves are dear, and the worker foresees what leaves the plan
+        places = center[:, None, :] + _swept(scene, math.tan(tip.deviation_angle) * depths)
+        return _nodes_at(model, places.reshape(-1, 3))
     drift = 2 * math.tan(tip.deviation_angle) * math.cos(tip.roll) * depths
     start, end = np.minimum(drift, 0.0) - radius, np.maximum(drift, 0.0) + radius
     across = start[:, None] + np.linspace(0.0, 1.0, 13) * (end - start)[:, None]
@@ -116,5 +122,24 @@ def _touched(scene: Scene, model: TissueModel) -> Index:
     turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
     aside = plane_points(turned[:, 0], scene.dimension)[0]
     places = (center[:, None, :] + across[:, :, None] * aside).reshape(-1, len(direction))
+    return _nodes_at(model, places)
+
+
+def _swept(scene: Scene, drift: Vector) -> Vector:
+    """Return what a disc sweeps that moves by drifts (n,) to the steered side, (n, k, 3)."""
+    quaternion = np.array(scene.base.orientation)
+    turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
+    step = 0.5 * spacings(scene)[0]
+    moves = np.linspace(0.0, 1.0, 2 + int(np.abs(drift).max() / step))
+    angles = np.arange(8) * (np.pi / 4)
+    ring = np.cos(angles)[:, None] * turned[:, 0] + np.sin(angles)[:, None] * turned[:, 1]
+    radii = scene.needle.radius * (1 - 1e-9) * np.array([0.0, 0.5, 1.0])
+    disc = (radii[:, None, None] * ring).reshape(-1, 3)
+    moved = (drift[:, None] * moves)[:, :, None] * steering(scene)
+    return np.asarray((moved[:, :, None, :] + disc).reshape(len(drift), -1, 3))
+
+
+def _nodes_at(model: TissueModel, places: Vector) -> Index:
+    """Return the nodes that displacements at places (n, d) are read from."""
     nodes, values, inside = model.shape_functions(places)
     return np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])

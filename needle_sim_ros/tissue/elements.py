@@ -3,8 +3,9 @@
 
 The strain energy is split into mu eps:eps and lambda/2 (div u)^2, and the divergence is
 projected element by element on discontinuous pressures: linear ones for biquadratic
-elements (the stable Q2/P1 pair), constant ones for bilinear elements (Q1/P0) and
-quadratic triangles. Linear triangles are left as they are: they lock, as the paper's do.
+and triquadratic elements (the stable Q2/P1 pair), constant ones for bilinear and
+trilinear elements (Q1/P0) and quadratic triangles. Linear triangles are left as they are:
+they lock, as the paper's do.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from needle_sim_ros.geometry import Vector
 
-_CHUNK = 20_000
+_CHUNK = {2: 20_000, 3: 1_000}
 _ELEMENTS = {
     ("quad2", 2): skfem.ElementQuad2,
     ("quad1", 2): skfem.ElementQuad1,
@@ -77,8 +78,8 @@ def assemble(
     where = np.asarray(basis.global_coordinates())
     at = material(where)
     stiffness, mass = _Sum(d * nodes), _Sum(nodes)
-    for start in range(0, dofs.shape[1], _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, dofs.shape[1], _CHUNK[d]):
+        part = slice(start, start + _CHUNK[d])
         cut = Material(at.lame[part], at.shear[part], at.density[part])
         block = _stiffness(gradient[:, :, part], basis.dx[part], where[:, part], cut, element)
         here = dofs[:, part]

@@ -8,6 +8,7 @@ point by bisection.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from needle_sim_ros.errors import SceneError
 from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.scene_checks import base_poses, half_widths
+from needle_sim_ros.tissue.interfaces import fitted, planes
 
 Index = NDArray[np.intp]
 
@@ -81,16 +83,9 @@ class TissueMesh:
             False where the point is outside the tissue (cell and local are then of the
             nearest cell).
         """
-        height = points[:, -1]
-        layer, up, inside = _interval(self.levels, height)
-        depth = -height
-        columns: list[Index] = []
-        local: list[Vector] = []
-        for axis, lines in enumerate(self.lateral):
-            column, part, within = _drifted_interval(lines, points[:, axis], depth)
-            columns.append(column)
-            local.append(part)
-            inside &= within
+        columns, local, inside = self._intervals(points)
+        *columns, layer = columns
+        *local, up = local
         cells = layer
         for column, lines in zip(reversed(columns), reversed(self.lateral), strict=True):
             cells = cells * (len(lines.at) - 1) + column
@@ -98,6 +93,22 @@ class TissueMesh:
         if not self.quadrilateral:
             cells, coordinates = _triangle(cells, coordinates, *self._widths(columns[0], layer))
         return cells, coordinates, inside
+
+    def places(self, points: Vector) -> Index:
+        """Number the lines on which points (n, d) are, doubled, from 0; shape (d, n)."""
+        intervals, local, _ = self._intervals(points)
+        return np.rint(2 * (np.array(intervals) + np.array(local))).astype(np.intp)
+
+    def _intervals(self, points: Vector) -> tuple[list[Index], list[Vector], NDArray[np.bool_]]:
+        """Find between which lines points are, in every direction, heights last."""
+        depth = -points[:, -1]
+        found = [
+            _drifted_interval(lines, points[:, axis], depth)
+            for axis, lines in enumerate(self.lateral)
+        ]
+        found.append(_interval(self.levels, points[:, -1]))
+        inside = np.logical_and.reduce([within for _, _, within in found])
+        return [index for index, _, _ in found], [part for _, part, _ in found], inside
 
     def _widths(self, column: Index, layer: Index) -> tuple[Vector, Vector]:
         """Return the widths of boxes at their lower and upper side, m."""
@@ -168,6 +179,13 @@ def planned_path(scene: Scene) -> Path:
     return Path(entry, axis, min(depth, floor / -axis[2]))
 
 
+def steering(scene: Scene) -> Vector:
+    """Return the unit direction, (3,), to which a positive deviation angle steers at the start."""
+    turned = rotation_matrix(_unit(np.array(scene.base.orientation)))
+    roll = scene.needle.tip.roll
+    return np.asarray(math.cos(roll) * turned[:, 0] + math.sin(roll) * turned[:, 1])
+
+
 def _unit(vector: Vector) -> Vector:
     return np.asarray(vector / np.linalg.norm(vector))
 
@@ -211,7 +229,9 @@ def _growing(span: float, first: float, growth: float, largest: float) -> Vector
 def spacings(scene: Scene) -> tuple[float, float, float]:
     """Return spacing across and along the path and the half width of the fine band, m."""
     mesh, radius = scene.tissue.mesh, scene.needle.radius
-    along = mesh.spacing_along or 2 * scene.solver.track_spacing
+    # trilinear hexahedra have no nodes but their corners
+    nodes = 1 if scene.dimension == 3 and mesh.element == "quad1" else 2
+    along = mesh.spacing_along or nodes * scene.solver.track_spacing
     across = mesh.spacing_across or radius
     return across, along, mesh.band or max(2 * across, 2 * radius)
 
@@ -225,10 +245,12 @@ def build_mesh(scene: Scene) -> TissueMesh:
         When the planned path leaves no room for the mesh.
     """
     mesh, path = scene.tissue.mesh, planned_path(scene)
+    element = str(mesh.element)
     across, along, band = spacings(scene)
     half_x, half_y, floor = half_widths(scene)
     largest = mesh.largest or min(scene.tissue.size) / 8
     depth = path.depth * -path.direction[2]
+    faces = planes(scene)
     lateral = []
     for axis, half in ((0, half_x), (1, half_y))[: scene.dimension - 1]:
         if mesh.uniform:
@@ -236,14 +258,25 @@ def build_mesh(scene: Scene) -> TissueMesh:
             lateral.append(Lines(at, np.zeros(len(at))))
             continue
         center = float(path.entry[axis])
+        before = after = band
+        if scene.dimension == 3 and mesh.band is None:
+            aside = math.tan(scene.needle.tip.deviation_angle) * path.depth * steering(scene)[axis]
+            before, after = band + max(0.0, -aside), band + max(0.0, aside)
         at = graded(
-            -half, half, (center - band, center + band), across, mesh.growth, max(largest, across)
+            -half,
+            half,
+            (center - before, center + after),
+            across,
+            mesh.growth,
+            max(largest, across),
         )
         slope = float(path.direction[axis] / -path.direction[2])
+        if slope == 0.0:
+            at = fitted(at, faces[axis])
         outward = np.where(
             at < center,
-            (at + half) / max(center + half - band, 1e-12),
-            (half - at) / max(half - center - band, 1e-12),
+            (at + half) / max(center + half - before, 1e-12),
+            (half - at) / max(half - center - after, 1e-12),
         )
         lateral.append(Lines(at, slope * np.clip(outward, 0.0, 1.0)))
         if (np.diff(at + lateral[-1].drift * floor) <= 0).any():
@@ -263,9 +296,10 @@ def build_mesh(scene: Scene) -> TissueMesh:
             mesh.growth,
             max(largest, along),
         )
+        levels = fitted(levels, faces[2])
     if scene.dimension == 3:
-        raise SceneError("dimension", 3, "must be 2 in this version")
-    return _quadrilaterals(lateral[0], levels, mesh.element.startswith("quad"))
+        return _hexahedra(lateral[0], lateral[1], levels)
+    return _quadrilaterals(lateral[0], levels, element.startswith("quad"))
 
 
 def _quadrilaterals(lines: Lines, levels: Vector, whole: bool) -> TissueMesh:
@@ -281,3 +315,24 @@ def _quadrilaterals(lines: Lines, levels: Vector, whole: bool) -> TissueMesh:
         halves = np.stack([box[[0, 1, 2]], box[[0, 2, 3]]], axis=2).reshape(3, -1)
         mesh = skfem.MeshTri(points, halves, sort_t=False)
     return TissueMesh(mesh, (lines,), levels, whole)
+
+
+def _hexahedra(across: Lines, beside: Lines, levels: Vector) -> TissueMesh:
+    columns, ranks, rows = len(across.at), len(beside.at), len(levels)
+    shape = (rows, ranks, columns)
+    x = across.at[None, :] - across.drift[None, :] * levels[:, None]
+    y = beside.at[None, :] - beside.drift[None, :] * levels[:, None]
+    points = np.array(
+        [
+            np.broadcast_to(x[:, None, :], shape).ravel(),
+            np.broadcast_to(y[:, :, None], shape).ravel(),
+            np.broadcast_to(levels[:, None, None], shape).ravel(),
+        ]
+    )
+    number = np.arange(points.shape[1]).reshape(shape)
+    # in the order in which the element numbers its corners, so that both share coordinates
+    corners = [
+        number[k : rows - 1 + k, j : ranks - 1 + j, i : columns - 1 + i].ravel()
+        for i, j, k in np.asarray(skfem.ElementHex1.doflocs, dtype=int).tolist()
+    ]
+    return TissueMesh(skfem.MeshHex(points, np.array(corners)), (across, beside), levels, True)

@@ -13,6 +13,7 @@ from needle_sim_ros.errors import SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.elements import assemble, scalar_basis
+from needle_sim_ros.tissue.grid_order import nested_dissection
 from needle_sim_ros.tissue.material import MaterialField
 from needle_sim_ros.tissue.mesh import Index, build_mesh
 
@@ -36,14 +37,12 @@ class TissueModel:
         self.scene = scene
         self.grid = build_mesh(scene)
         self.dimension = scene.dimension
-        self.basis = scalar_basis(self.grid.mesh, scene.tissue.mesh.element)
+        element = self._element = str(scene.tissue.mesh.element)
+        self.basis = scalar_basis(self.grid.mesh, element)
         self.nodes = int(self.basis.N)
         depth = scene.tissue.thickness if scene.dimension == 2 else 1.0
-        stiffness, mass = assemble(self.basis, scene.tissue.mesh.element, MaterialField(scene))
-        fixed = self._fixed_nodes()
-        held = np.zeros(self.nodes * self.dimension, dtype=bool)
-        for component in range(self.dimension):
-            held[self.dimension * fixed + component] = True
+        stiffness, mass = assemble(self.basis, element, MaterialField(scene))
+        held = self._held()
         self.free: Index = np.flatnonzero(~held)
         self.position_of = np.full(len(held), -1, dtype=np.intp)
         self.position_of[self.free] = np.arange(len(self.free))
@@ -61,8 +60,10 @@ class TissueModel:
         """Positions of the nodes, shape (d, n), m."""
         return np.asarray(self.basis.doflocs)
 
-    def _fixed_nodes(self) -> Index:
-        size, where = self.scene.tissue.size, self.basis.doflocs
+    def _held(self) -> NDArray[np.bool_]:
+        """Tell which unknowns are zero: on fixed faces all, on rollers the normal ones."""
+        tissue, where = self.scene.tissue, self.basis.doflocs
+        size = tissue.size
         slack = 1e-9 * max(size)
         planes = {
             "left": (0, -size[0] / 2),
@@ -71,13 +72,25 @@ class TissueModel:
         }
         if self.dimension == 3:
             planes |= {"front": (1, -size[1] / 2), "back": (1, size[1] / 2)}
-        mask = np.zeros(self.nodes, dtype=bool)
-        for face in self.scene.tissue.fixed or ():
+        held = np.zeros((self.nodes, self.dimension), dtype=bool)
+        for face in tissue.fixed or ():
             axis, value = planes[face]
-            mask |= np.abs(where[axis] - value) < slack
-        if not mask.any():
-            raise SceneError("tissue.fixed", list(self.scene.tissue.fixed or ()), "holds no node")
-        return np.flatnonzero(mask)
+            held[np.abs(where[axis] - value) < slack] = True
+        if not held.any():
+            raise SceneError("tissue.fixed", list(tissue.fixed or ()), "holds no node")
+        for face in tissue.rollers:
+            axis, value = planes[face]
+            held[np.abs(where[axis] - value) < slack, axis] = True
+        return held.ravel()
+
+    @cached_property
+    def elimination_order(self) -> Index | None:
+        """Order in which to eliminate the free unknowns; None leaves it to the solver."""
+        if self.dimension == 2:
+            return None
+        nodes = nested_dissection(self.grid.places(self.coordinates.T))
+        unknowns = self.position_of[(self.dimension * nodes[:, None] + np.arange(3)).ravel()]
+        return np.asarray(unknowns[unknowns >= 0])
 
     def shape_functions(self, points: Vector) -> tuple[Index, Vector, NDArray[np.bool_]]:
         """Evaluate the shape functions at points, shape (k, d).
@@ -101,7 +114,7 @@ class TissueModel:
 
     def _tensor_product(self, local: Vector) -> Vector:
         # Lagrange polynomials of each direction, multiplied as the element numbers its nodes
-        quadratic = self.scene.tissue.mesh.element == "quad2"
+        quadratic = self._element == "quad2"
         values = np.ones((len(self._local_nodes[0]), local.shape[1]))
         for x, order in zip(local, self._local_nodes, strict=True):
             if quadratic:
@@ -113,7 +126,7 @@ class TissueModel:
 
     @cached_property
     def _local_nodes(self) -> tuple[Index, ...]:
-        steps = 2 if self.scene.tissue.mesh.element == "quad2" else 1
+        steps = 2 if self._element == "quad2" else 1
         where = np.asarray(self.basis.elem.doflocs, dtype=float)
         return tuple(
             np.rint(steps * where[:, axis]).astype(np.intp) for axis in range(where.shape[1])

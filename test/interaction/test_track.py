@@ -16,7 +16,7 @@ SPACING = 2e-3
 LAYER = {
     "name": "deep",
     "shape": "half_space",
-    "center": [0, 0, -0.005],
+    "center": [0, 0, -0.0048],
     "friction_static": 40.0,
     "friction_kinetic": 30.0,
 }
