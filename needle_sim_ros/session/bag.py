@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from mcap.records import Channel, Schema
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session.mcap_file import NO_ROOM, Entry, McapFile
-from needle_sim_ros.session.schema import message_schema
+from needle_sim_ros.session.schema import MessageSchema, message_schema
 
 _FORMAT_VERSION = 9  # rosbag2 of Jazzy
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
@@ -91,7 +92,7 @@ class Bag:
         except OSError as error:
             raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
         self.folder = folder
-        self._topics: dict[int, Topic] = {}
+        self._topics: dict[int, dict[str, Any]] = {}
         try:
             self.file = McapFile(folder / f"{folder.name}_0.mcap", library)
         except OSError as error:
@@ -104,8 +105,44 @@ class Bag:
         profiles = yaml.safe_dump(topic.qos_profiles(), sort_keys=False)
         metadata = {"offered_qos_profiles": profiles, "topic_type_hash": schema.type_hash}
         channel = self.file.add_channel(topic.name, schema.name, schema.text, metadata)
-        self._topics[channel] = topic
+        self._note(channel, topic.name, schema, topic.qos_profiles())
         return channel
+
+    def copy_topic(self, channel: Channel, schema: Schema) -> int:
+        """Return the channel id of a topic that is as in another file.
+
+        Raises
+        ------
+        UnicodeDecodeError
+            When the schema is no text.
+        """
+        text = schema.data.decode()
+        encodings = (channel.message_encoding, schema.encoding)
+        metadata = dict(channel.metadata)
+        number = self.file.add_channel(channel.topic, schema.name, text, metadata, encodings)
+        try:
+            profiles = yaml.safe_load(metadata.get("offered_qos_profiles", "")) or []
+        except yaml.YAMLError:
+            profiles = []
+        known = MessageSchema(schema.name, text, metadata.get("topic_type_hash", ""))
+        self._note(number, channel.topic, known, profiles, channel.message_encoding)
+        return number
+
+    def _note(
+        self,
+        channel: int,
+        topic: str,
+        schema: MessageSchema,
+        profiles: list[dict[str, Any]],
+        serialization: str = "cdr",
+    ) -> None:
+        self._topics[channel] = {
+            "name": topic,
+            "type": schema.name,
+            "serialization_format": serialization,
+            "offered_qos_profiles": profiles,
+            "type_description_hash": schema.type_hash,
+        }
 
     def write(self, entries: Sequence[Entry]) -> None:
         """Write messages as one chunk, all or none; `OSError` when the disk refuses."""
@@ -155,16 +192,7 @@ class Bag:
             "message_count": sum(counts.values()),
         }
         topics = [
-            {
-                "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": topic.qos_profiles(),
-                    "type_description_hash": message_schema(topic.type).type_hash,
-                },
-                "message_count": counts[channel],
-            }
+            {"topic_metadata": topic, "message_count": counts[channel]}
             for channel, topic in self._topics.items()
         ]
         return {

@@ -150,7 +150,7 @@ def test_a_scene_that_was_damaged_is_not_replayed(recorded, tmp_path):
     assert data.count(b"youngs_modulus: 15000.0") == 1
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data.replace(b"youngs_modulus: 15000.0", b"youngs_modulus: 16000.0"))
-    with pytest.raises(SessionError, match="damaged at byte .*attachment.s checksum"):
+    with pytest.raises(SessionError, match=r"damaged at byte .*attachment.s checksum"):
         read_session(path)
 
 
