@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -120,10 +122,7 @@ class Bag:
         encodings = (channel.message_encoding, schema.encoding)
         metadata = dict(channel.metadata)
         number = self.file.add_channel(channel.topic, schema.name, text, metadata, encodings)
-        try:
-            profiles = yaml.safe_load(metadata.get("offered_qos_profiles", "")) or []
-        except yaml.YAMLError:
-            profiles = []
+        profiles = deepcopy(_profiles(metadata.get("offered_qos_profiles", "")))
         known = MessageSchema(schema.name, text, metadata.get("topic_type_hash", ""))
         self._note(number, channel.topic, known, profiles, channel.message_encoding)
         return number
@@ -207,6 +206,16 @@ class Bag:
             "custom_data": None,
             "ros_distro": "jazzy",
         }
+
+
+@cache
+def _profiles(text: str) -> list[dict[str, Any]]:
+    """Return QoS profiles from their YAML; none from what is not YAML."""
+    try:
+        found = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return []
+    return found if isinstance(found, list) else []
 
 
 def _copied(extent: dict[str, Any]) -> dict[str, Any]:

@@ -69,9 +69,7 @@ def test_differences_are_those_of_the_series(recorded, tmp_path):
 
 
 def test_a_scene_that_the_motion_misses_is_refused(recorded, tmp_path, capsys):
-    protocol = (
-        "protocol=[{duration: 40, velocity: [0, 0, -0.03]}]"  # would reach it, the motion not
-    )
+    protocol = "protocol=[{duration: 29.7, velocity: [0, 0, -0.03]}]"  # this one would reach it
     higher = ["--set", "base.position=[0, 0, 1.0]", "--set", protocol]
     assert main(["replay", str(recorded / "bag"), *higher]) == 2
     assert "never reaches the tissue" in capsys.readouterr().err
