@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from needle_sim_ros.plain import plain
 
 Row = dict[str, Any]
 
@@ -46,7 +47,7 @@ class BenchmarkResult:
             "figures": self.figures,
             "table": self.table,
         }
-        return json.dumps(_plain(content), indent=2, allow_nan=False) + "\n"
+        return json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
 
     def write_json(self, path: str | Path) -> None:
         """Write the JSON text to a file, whole or not at all."""
@@ -65,20 +66,6 @@ class BenchmarkResult:
         figures = [{"figure": name, "value": value} for name, value in self.figures.items()]
         parts.append(_aligned(figures))
         return "\n\n".join(parts) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, (np.floating, float)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(inner) for inner in value]
-    return value
 
 
 def _aligned(rows: Iterable[Row]) -> str:

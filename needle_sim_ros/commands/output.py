@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.plain import plain
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -72,21 +70,6 @@ def check_picture(path: Path | None) -> None:
     if path is not None:
         picture_format(path)
         check_writable(path)
-
-
-def plain(value: Any) -> Any:
-    """Turn arrays into lists and what is not a finite number into ``None``."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def write_json(path: Path | None, data: dict[str, Any]) -> None:

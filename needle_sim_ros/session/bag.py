@@ -5,17 +5,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import yaml
+from mcap.records import Channel, Schema
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session.mcap_file import NO_ROOM, Entry, McapFile
-from needle_sim_ros.session.schema import message_schema
+from needle_sim_ros.session.schema import MessageSchema, message_schema
 
 _FORMAT_VERSION = 9  # rosbag2 of Jazzy
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
@@ -91,7 +94,7 @@ class Bag:
         except OSError as error:
             raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
         self.folder = folder
-        self._topics: dict[int, Topic] = {}
+        self._topics: dict[int, dict[str, Any]] = {}
         try:
             self.file = McapFile(folder / f"{folder.name}_0.mcap", library)
         except OSError as error:
@@ -104,8 +107,41 @@ class Bag:
         profiles = yaml.safe_dump(topic.qos_profiles(), sort_keys=False)
         metadata = {"offered_qos_profiles": profiles, "topic_type_hash": schema.type_hash}
         channel = self.file.add_channel(topic.name, schema.name, schema.text, metadata)
-        self._topics[channel] = topic
+        self._note(channel, topic.name, schema, topic.qos_profiles())
         return channel
+
+    def copy_topic(self, channel: Channel, schema: Schema) -> int:
+        """Return the channel id of a topic that is as in another file.
+
+        Raises
+        ------
+        UnicodeDecodeError
+            When the schema is no text.
+        """
+        text = schema.data.decode()
+        encodings = (channel.message_encoding, schema.encoding)
+        metadata = dict(channel.metadata)
+        number = self.file.add_channel(channel.topic, schema.name, text, metadata, encodings)
+        profiles = deepcopy(_profiles(metadata.get("offered_qos_profiles", "")))
+        known = MessageSchema(schema.name, text, metadata.get("topic_type_hash", ""))
+        self._note(number, channel.topic, known, profiles, channel.message_encoding)
+        return number
+
+    def _note(
+        self,
+        channel: int,
+        topic: str,
+        schema: MessageSchema,
+        profiles: list[dict[str, Any]],
+        serialization: str = "cdr",
+    ) -> None:
+        self._topics[channel] = {
+            "name": topic,
+            "type": schema.name,
+            "serialization_format": serialization,
+            "offered_qos_profiles": profiles,
+            "type_description_hash": schema.type_hash,
+        }
 
     def write(self, entries: Sequence[Entry]) -> None:
         """Write messages as one chunk, all or none; `OSError` when the disk refuses."""
@@ -125,7 +161,7 @@ class Bag:
         def closing() -> tuple[str, dict[str, str]]:
             nonlocal failure
             information = self._information()
-            text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+            text = _yaml({"rosbag2_bagfile_information": information})
             try:
                 target.write_text(text, encoding="utf-8")
             except OSError as error:
@@ -133,7 +169,7 @@ class Bag:
                 if error.errno in NO_ROOM:
                     raise
                 failure = error
-            return "rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)}
+            return "rosbag2", {"serialized_metadata": _yaml(information)}
 
         try:
             dropped = self.file.finish(closing)
@@ -155,16 +191,7 @@ class Bag:
             "message_count": sum(counts.values()),
         }
         topics = [
-            {
-                "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": topic.qos_profiles(),
-                    "type_description_hash": message_schema(topic.type).type_hash,
-                },
-                "message_count": counts[channel],
-            }
+            {"topic_metadata": topic, "message_count": counts[channel]}
             for channel, topic in self._topics.items()
         ]
         return {
@@ -179,6 +206,23 @@ class Bag:
             "custom_data": None,
             "ros_distro": "jazzy",
         }
+
+
+def _yaml(data: dict[str, Any]) -> str:
+    # libyaml, where PyYAML has it, takes a tenth of the time
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    text: str = yaml.dump(data, Dumper=dumper, sort_keys=False)
+    return text
+
+
+@cache
+def _profiles(text: str) -> list[dict[str, Any]]:
+    """Return QoS profiles from their YAML; none from what is not YAML."""
+    try:
+        found = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return []
+    return found if isinstance(found, list) else []
 
 
 def _copied(extent: dict[str, Any]) -> dict[str, Any]:

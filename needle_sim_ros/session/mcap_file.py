@@ -72,7 +72,7 @@ class McapFile:
             if compression_level
             else None
         )
-        self._schemas: dict[str, Schema] = {}
+        self._schemas: dict[tuple[str, str], Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._undefined: list[McapRecord] = []
         self._defined_in: dict[int, list[McapRecord]] = {}
@@ -112,23 +112,31 @@ class McapFile:
         return os.fstat(self._file.fileno()).st_nlink == 0
 
     def add_channel(
-        self, topic: str, schema_name: str, schema_text: str, metadata: Mapping[str, str]
+        self,
+        topic: str,
+        schema_name: str,
+        schema_text: str,
+        metadata: Mapping[str, str],
+        encodings: tuple[str, str] = ("cdr", "ros2msg"),
     ) -> int:
-        """Return the id of a new channel; its definition goes out with the next chunk."""
-        schema = self._schemas.get(schema_name)
+        """Return the id of a new channel; its definition goes out with the next chunk.
+
+        `encodings` are those of the messages and of the schema.
+        """
+        schema = self._schemas.get((schema_name, schema_text))
         if schema is None:
             schema = Schema(
                 id=len(self._schemas) + 1,
                 name=schema_name,
-                encoding="ros2msg",
+                encoding=encodings[1],
                 data=schema_text.encode(),
             )
-            self._schemas[schema_name] = schema
+            self._schemas[schema_name, schema_text] = schema
             self._undefined.append(schema)
         channel = Channel(
             id=len(self._channels) + 1,
             topic=topic,
-            message_encoding="cdr",
+            message_encoding=encodings[0],
             schema_id=schema.id,
             metadata=dict(metadata),
         )

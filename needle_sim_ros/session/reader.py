@@ -4,33 +4,30 @@
 from __future__ import annotations
 
 import json
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap_ros2.decoder import DecoderFactory
-from numpy.typing import NDArray
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session import channels
+from needle_sim_ros.session import channels, decode
+from needle_sim_ros.session.channels import Channel
+from needle_sim_ros.session.content import Content, read_content
 from needle_sim_ros.session.history import motions_from_json
+from needle_sim_ros.session.mcap_walk import CUT_OFF, NOT_FINISHED
 from needle_sim_ros.session.motion import Motion
 from needle_sim_ros.session.series import Array, Series
 from needle_sim_ros.session.writer import ABOUT, HISTORY_FILE, SCENE_FILE
 
-_DAMAGE = (McapError, CRCValidationError, struct.error, zstandard.ZstdError, UnicodeDecodeError)
-_LARGEST_RECORD = 1 << 30
 _NEEDED = frozenset(
     ("tip_deflection", "tip_pose", "base_wrench", "tissue_markers", "insertion_depth", "process")
 )
+# Log times in ns and serialised messages of a topic, by role.
+Recorded = Mapping[str, tuple[Sequence[int], Sequence[bytes]]]
 
 
 @dataclass(frozen=True)
@@ -104,173 +101,144 @@ def read_session(path: str | Path) -> Session:
         When it is no session of this package.
     """
     file = mcap_path(path)
-    attachments: dict[str, bytes] = {}
-    metadata: dict[str, str] = {}
-    topics: dict[str, list[tuple[int, Any]]] = {}
-    complete = False
-    for record in _records(file):
-        if isinstance(record, Attachment):
-            attachments[record.name] = record.data
-        elif isinstance(record, Metadata) and record.name == ABOUT:
-            metadata = dict(record.metadata)
-        elif isinstance(record, Footer):
-            complete = True
-        elif isinstance(record, _Decoded):
-            topics.setdefault(record.topic, []).append((record.time, record.message))
-    if SCENE_FILE not in attachments or not metadata:
+    return session_of(file, read_content(file))
+
+
+def session_of(file: Path, content: Content) -> Session:
+    """Return the session that a file's content is.
+
+    Raises
+    ------
+    SessionError
+        When it is no session of this package.
+    """
+    about = content.metadata.get(ABOUT)
+    if SCENE_FILE not in content.attachments or not about:
+        damage = content.damage
+        if damage is not None and damage.reason not in (CUT_OFF, NOT_FINISHED):
+            raise SessionError(f"{file} is damaged at byte {damage.offset}: {damage.reason}")
+        if not content.messages:
+            raise SessionError(f"{file}: it holds no scene and no message: the bag is empty")
         raise SessionError(f"{file}: not a session of needle_sim: it holds no scene")
+    if "scene_sha256" not in about:
+        raise SessionError(
+            f"{file}: recorded before sessions noted the checksum of their scene"
+            " (scene_sha256); needle_sim salvage makes a session of it that has one"
+        )
     try:
-        return _session(file, complete, attachments, metadata, topics)
-    except (KeyError, ValueError) as error:
+        return _session(file, content, about)
+    except KeyError as error:
+        raise SessionError(f"{file} is damaged: it does not say its {error}") from error
+    except ValueError as error:
         raise SessionError(f"{file} is damaged: {error}") from error
 
 
-def _session(
-    file: Path,
-    complete: bool,
-    attachments: Mapping[str, bytes],
-    metadata: Mapping[str, str],
-    topics: Mapping[str, list[tuple[int, Any]]],
-) -> Session:
-    if sha256(attachments[SCENE_FILE]).hexdigest() != metadata["scene_sha256"]:
+def recorded_messages(content: Content, about: Mapping[str, str]) -> Recorded:
+    """Return times and messages of every output, by role; of equal times the last counts."""
+    found = {}
+    for channel in channels.OUTPUTS:
+        messages = content.of_topic(about[f"topic.{channel.role}"], channel.type)
+        latest = {time: data for _, time, data in messages}
+        found[channel.role] = (list(latest), list(latest.values()))
+    return found
+
+
+def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
+    scene = content.attachments[SCENE_FILE]
+    if sha256(scene).hexdigest() != about["scene_sha256"]:
         raise SessionError(f"{file} is damaged: the scene is not the one recorded")
-    scene_text = attachments[SCENE_FILE].decode()
-    roles = {
-        channel.role: topics.get(metadata[f"topic.{channel.role}"], [])
-        for channel in (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
-    }
-    started_late = int(metadata["start_tick"]) > 0
-    history = attachments.get(HISTORY_FILE, b"null" if started_late else b"[]")
-    motions = [(time, _pose(message)) for time, message in roles["applied_pose"]]
-    motions += [(time, _velocity(message)) for time, message in roles["applied_velocity"]]
-    inputs = [
-        (time, channel.role, message)
-        for channel in channels.INPUTS
-        for time, message in roles[channel.role]
+    started_late = int(about["start_tick"]) > 0
+    history = content.attachments.get(HISTORY_FILE, b"null" if started_late else b"[]")
+
+    def messages(channel: Channel) -> tuple[list[int], list[bytes]]:
+        found = content.of_topic(about[f"topic.{channel.role}"], channel.type)
+        return [time for _, time, _ in found], [data for *_, data in found]
+
+    times, poses = messages(channels.APPLIED_POSE)
+    rows = decode.stamped_doubles(poses, 7).tolist()
+    motions = [(t, Motion.from_values("pose", row)) for t, row in zip(times, rows, strict=True)]
+    times, twists = messages(channels.APPLIED_VELOCITY)
+    rows = decode.stamped_doubles(twists, 6).tolist()
+    motions += [
+        (t, Motion.from_values("velocity", row)) for t, row in zip(times, rows, strict=True)
     ]
+    times, happened = messages(channels.EVENTS)
+    events = [(t, json.loads(e)) for t, e in zip(times, decode.texts(happened), strict=True)]
+    scene_text = scene.decode()
     return Session(
         path=file,
-        complete=complete,
+        complete=content.damage is None,
         scene_text=scene_text,
-        metadata=metadata,
+        metadata=about,
         before=motions_from_json(history.decode()),
         motions=sorted(motions, key=_time),
-        events=[(time, json.loads(message.data)) for time, message in roles["events"]],
-        inputs=sorted(inputs, key=_time),
-        series=_series(roles, scene_text, metadata),
+        events=events,
+        inputs=_inputs(content, about),
+        series=series_of(recorded_messages(content, about), scene_text, about),
     )
 
 
-@dataclass(frozen=True)
-class _Decoded:
-    topic: str
-    time: int
-    message: Any
-
-
-def _records(file: Path) -> Iterator[McapRecord | _Decoded]:
-    """Yield the records of a file, messages decoded, up to where it is cut off."""
-    decoders, factory = {}, DecoderFactory()
-    footer: Footer | None = None
-    schemas: dict[int, Schema] = {}
-    try:
-        stream = file.open("rb")
-    except OSError as error:
-        raise SessionError(f"{file}: {error.strerror}") from None
-    with stream:
-        reader = StreamReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
-        try:
-            for record in reader.records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    schema = schemas.get(record.schema_id)
-                    decoder = factory.decoder_for(record.message_encoding, schema)
-                    decoders[record.id] = (record.topic, decoder)
-                elif isinstance(record, Message):
-                    topic, decode = decoders[record.channel_id]
-                    value = _decoded(decode, record.data)
-                    if value is not None:
-                        yield _Decoded(topic, record.log_time, value)
-                elif isinstance(record, Footer):
-                    footer = record
-                else:
-                    yield record
-        except _DAMAGE:
-            return
-    # Only now is it known that the file ends as it should.
-    if footer is not None:
-        yield footer
-
-
-def _decoded(decode: Callable[[bytes], Any] | None, data: bytes) -> Any:
-    """Return a message, or None for what is none: others may have sent anything."""
-    try:
-        return None if decode is None else decode(data)
-    except Exception:
-        return None
+def _inputs(content: Content, about: Mapping[str, str]) -> list[tuple[int, str, Any]]:
+    """Return the commands as they were received; what is none of them is left out."""
+    inputs, factory = [], DecoderFactory()
+    for channel in channels.INPUTS:
+        topic = about[f"topic.{channel.role}"]
+        for number, found in content.channels.items():
+            schema = content.schemas.get(found.schema_id)
+            if found.topic != topic or schema is None:
+                continue
+            decoder = factory.decoder_for(found.message_encoding, schema)
+            if decoder is None:
+                continue
+            for _, time, data in content.messages.get(number, []):
+                try:
+                    inputs.append((time, channel.role, decoder(data)))
+                except Exception:  # others may have sent anything
+                    continue
+    return sorted(inputs, key=_time)
 
 
 def _time(entry: tuple[Any, ...]) -> int:
     return int(entry[0])
 
 
-def _xyz(vector: Any) -> list[float]:
-    return [vector.x, vector.y, vector.z]
-
-
-def _xyzw(quaternion: Any) -> list[float]:
-    return [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
-
-
-def _pose(message: Any) -> Motion:
-    pose = message.pose
-    return Motion.from_values("pose", _xyz(pose.position) + _xyzw(pose.orientation))
-
-
-def _velocity(message: Any) -> Motion:
-    twist = message.twist
-    return Motion.from_values("velocity", _xyz(twist.linear) + _xyz(twist.angular))
-
-
-def _series(
-    roles: Mapping[str, list[tuple[int, Any]]], scene_text: str, metadata: Mapping[str, str]
+def series_of(
+    recorded: Recorded, scene_text: str = "", about: Mapping[str, str] | None = None
 ) -> Series:
-    """Return the outputs of the ticks of which every one was recorded."""
-    table = {channel.role: dict(roles[channel.role]) for channel in channels.OUTPUTS}
-    present = [set(messages) for role, messages in table.items() if messages or role in _NEEDED]
+    """Return the outputs of the ticks of which every one is there."""
+    present = [set(times) for role, (times, _) in recorded.items() if len(times) or role in _NEEDED]
     times = sorted(set.intersection(*present))
 
-    def column(role: str, read: Callable[[Any], Any], *width: int) -> Array:
-        rows = [read(table[role][time]) for time in times]
-        return np.reshape(np.array(rows, dtype=float), (len(times), *width))
+    def rows(role: str) -> list[bytes]:
+        found = dict(zip(*recorded[role], strict=True))
+        return [found[time] for time in times] if found else []
 
-    def optional(role: str, read: Callable[[Any], Any], *width: int) -> Array | None:
-        return column(role, read, *width) if table[role] else None
+    def has(role: str) -> bool:
+        return len(recorded[role][0]) > 0
 
-    clouds = [_cloud(table["tissue_markers"][time]) for time in times]
-    points = np.reshape(np.array(clouds, dtype=float), (len(times), -1 if clouds else 0, 6))
-    reference = points[0, :, :3] - points[0, :, 3:] if clouds else np.zeros((0, 3))
+    def scalar(role: str) -> Array | None:
+        return decode.float64s(rows(role)) if has(role) else None
+
+    tip = decode.stamped_doubles(rows("tip_pose"), 7)
+    wrench = decode.stamped_doubles(rows("base_wrench"), 6)
+    stage = decode.stamped_doubles(rows("stage_pose"), 7) if has("stage_pose") else None
+    points = decode.clouds(rows("tissue_markers")).astype(float)
+    reference = points[0, :, :3] - points[0, :, 3:] if len(points) else np.zeros((0, 3))
     return Series(
         time=np.array(times, dtype=float) * 1e-9,
-        insertion_depth=column("insertion_depth", lambda m: m.data),
-        base_force=column("base_wrench", lambda m: _xyz(m.wrench.force), 3),
-        base_torque=column("base_wrench", lambda m: _xyz(m.wrench.torque), 3),
-        tip_position=column("tip_pose", lambda m: _xyz(m.pose.position), 3),
-        tip_deflection=column("tip_deflection", lambda m: _xyz(m.vector), 3),
-        process=[table["process"][time].data for time in times],
+        insertion_depth=decode.float64s(rows("insertion_depth")),
+        base_force=wrench[:, :3],
+        base_torque=wrench[:, 3:],
+        tip_position=tip[:, :3],
+        tip_deflection=decode.stamped_doubles(rows("tip_deflection"), 3),
+        process=decode.texts(rows("process")),
         marker_reference=reference,
         marker_displacements=points[:, :, 3:],
-        friction_force=optional("friction_force", lambda m: m.data),
-        tip_force=optional("tip_force", lambda m: m.data),
-        base_position=optional("stage_pose", lambda m: _xyz(m.pose.position), 3),
-        base_orientation=optional("stage_pose", lambda m: _xyzw(m.pose.orientation), 4),
+        friction_force=scalar("friction_force"),
+        tip_force=scalar("tip_force"),
+        base_position=None if stage is None else stage[:, :3],
+        base_orientation=None if stage is None else stage[:, 3:],
+        tip_orientation=tip[:, 3:],
         scene_text=scene_text,
-        metadata=metadata,
+        metadata=about or {},
     )
-
-
-def _cloud(message: Any) -> NDArray[np.float32]:
-    step = message.point_step
-    rows = np.frombuffer(bytes(message.data), dtype=np.uint8).reshape(-1, step)[:, :24]
-    return np.ascontiguousarray(rows).view("<f4")

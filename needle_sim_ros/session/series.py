@@ -50,6 +50,8 @@ class Series:
         Tissue frame, m.
     base_orientation : (n, 4) array, optional
         Quaternion x y z w, base to tissue frame.
+    tip_orientation : (n, 4) array, optional
+        Quaternion x y z w; +z along the deflected needle at its tip.
     scene_text : str
         The scene as YAML; empty when unknown.
     metadata : mapping of str to str
@@ -74,12 +76,14 @@ class Series:
     tip_force: Array | None = None
     base_position: Array | None = None
     base_orientation: Array | None = None
+    tip_orientation: Array | None = None
     scene_text: str = ""
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n, m = len(self.time), len(self.marker_reference)
-        shapes: dict[str, tuple[int, ...]] = {"time": (n,), "base_orientation": (n, 4)}
+        shapes: dict[str, tuple[int, ...]] = {"time": (n,)}
+        shapes |= dict.fromkeys(("base_orientation", "tip_orientation"), (n, 4))
         shapes |= dict.fromkeys(_SCALAR, (n,)) | dict.fromkeys(_WIDTH_3, (n, 3))
         shapes |= {"marker_reference": (m, 3), "marker_displacements": (n, m, 3)}
         for name, shape in shapes.items():

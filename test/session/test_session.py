@@ -150,7 +150,7 @@ def test_a_scene_that_was_damaged_is_not_replayed(recorded, tmp_path):
     assert data.count(b"youngs_modulus: 15000.0") == 1
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data.replace(b"youngs_modulus: 15000.0", b"youngs_modulus: 16000.0"))
-    with pytest.raises(SessionError, match="damaged: the scene is not the one recorded"):
+    with pytest.raises(SessionError, match=r"damaged at byte .*attachment.s checksum"):
         read_session(path)
 
 
@@ -160,7 +160,7 @@ def test_what_is_no_session_is_refused_with_the_reason(tmp_path):
     with pytest.raises(SessionError, match="no MCAP file in this folder"):
         read_session(tmp_path)
     (tmp_path / "a.mcap").write_bytes(b"not MCAP at all")
-    with pytest.raises(SessionError, match="holds no scene"):
+    with pytest.raises(SessionError, match="not an MCAP file"):
         read_session(tmp_path)
 
 

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything in an MCAP file, messages as bytes by topic, up to where it is damaged."""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from needle_sim_ros.errors import SessionError
+from needle_sim_ros.session.mcap_chunk import records_in
+from needle_sim_ros.session.mcap_walk import CUT_OFF, Damage, Piece, Source, walk
+
+Message = tuple[int, int, bytes]  # sequence, log time in ns, data
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+UNREADABLE = (McapError, struct.error, UnicodeDecodeError)
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a file holds.
+
+    Parameters
+    ----------
+    damage : Damage or None
+        Where reading ended and why, if not at the end of a whole file.
+    attachments : dict of str to bytes
+        By name.
+    metadata : dict of str to dict
+        By name.
+    schemas, channels : dict
+        By id.
+    messages : dict of int to list of (int, int, bytes)
+        Sequence number, log time in ns, and data of every message, by channel id.
+    """
+
+    damage: Damage | None
+    attachments: dict[str, bytes]
+    metadata: dict[str, dict[str, str]]
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    messages: dict[int, list[Message]]
+
+    def of_topic(self, topic: str, kind: str) -> list[Message]:
+        """Return the messages of a topic that have this type, by log time."""
+        found = [
+            message
+            for number, channel in self.channels.items()
+            if channel.topic == topic
+            and channel.schema_id in self.schemas
+            and self.schemas[channel.schema_id].name == kind
+            for message in self.messages.get(number, [])
+        ]
+        return sorted(found, key=lambda message: message[1])
+
+
+@dataclass
+class Definitions:
+    """Schemas and channels met so far; the first of an id counts."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+
+    def add(self, opcode: int, content: bytes) -> None:
+        """Take a schema or a channel; one that cannot be read is left out."""
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas.setdefault(schema.id, schema)
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self.channels.setdefault(channel.id, channel)
+        except UNREADABLE:
+            return
+
+
+def read_content(path: Path) -> Content:
+    """Read a file up to its end or its first damage.
+
+    Raises
+    ------
+    SessionError
+        When it cannot be opened or is no MCAP file.
+    """
+    damage: Damage | None = None
+    attachments: dict[str, bytes] = {}
+    metadata: dict[str, dict[str, str]] = {}
+    definitions = Definitions()
+    messages: defaultdict[int, list[Message]] = defaultdict(list)
+    with Source(path) as source:
+        for piece in walk(source):
+            if isinstance(piece, Damage):
+                if piece.offset == 0 and piece.reason != CUT_OFF:
+                    raise SessionError(f"{path}: not an MCAP file")
+                damage = piece
+                break
+            if piece.opcode == Opcode.ATTACHMENT:
+                attachment = read_attachment(piece.content)
+                attachments[attachment.name] = attachment.data
+            elif piece.opcode == Opcode.METADATA:
+                record = read_metadata(piece.content)
+                metadata[record.name] = dict(record.metadata)
+            for opcode, data, begin, end in _parts(piece):
+                if opcode == Opcode.MESSAGE and end - begin >= MESSAGE_HEAD.size:
+                    channel, sequence, time, _ = MESSAGE_HEAD.unpack_from(data, begin)
+                    messages[channel].append(
+                        (sequence, time, data[begin + MESSAGE_HEAD.size : end])
+                    )
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    definitions.add(opcode, data[begin:end])
+    return Content(
+        damage,
+        attachments,
+        metadata,
+        definitions.schemas,
+        definitions.channels,
+        dict(messages),
+    )
+
+
+def read_attachment(content: bytes) -> Attachment:
+    """Return an attachment from the content of its record."""
+    return Attachment.read(ReadDataStream(BytesIO(content)))
+
+
+def read_metadata(content: bytes) -> Metadata:
+    """Return a metadata record from its content."""
+    return Metadata.read(ReadDataStream(BytesIO(content)))
+
+
+def _parts(piece: Piece) -> Iterator[tuple[int, bytes, int, int]]:
+    """Yield opcode, bytes, begin and end of a record, or of all records of a chunk."""
+    if piece.opcode == Opcode.CHUNK:
+        for opcode, begin, end in records_in(piece.content):
+            yield opcode, piece.content, begin, end
+    else:
+        yield piece.opcode, piece.content, 0, len(piece.content)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded session simulated again from what every tick applied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from needle_sim_ros.errors import NeedleSimError, SessionError
+from needle_sim_ros.session import channels
+from needle_sim_ros.session.motion import STILL, Motion
+from needle_sim_ros.session.reader import Recorded, series_of
+
+if TYPE_CHECKING:
+    from needle_sim_ros.session.reader import Session
+    from needle_sim_ros.session.series import Series
+    from needle_sim_ros.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class Tick:
+    """One tick of a replay.
+
+    Parameters
+    ----------
+    motion : Motion
+        What it applies.
+    log_time : int or None
+        Where it stands in the recording, ns; None before the recording began.
+    reset : bool
+        Whether the simulation went back to its start before it.
+    held : bool
+        Whether its own command is lost, and it goes on as the tick before.
+    """
+
+    motion: Motion
+    log_time: int | None
+    reset: bool = False
+    held: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What a replay gave.
+
+    Parameters
+    ----------
+    messages : mapping
+        Log times and serialised messages of every output, by role.
+    series : Series
+        The same as arrays.
+    ticks, held : int
+        Ticks simulated, and those of them whose command was lost.
+    """
+
+    messages: Recorded
+    series: Series
+    ticks: int
+    held: int
+
+
+def replay_ticks(session: Session) -> list[Tick]:
+    """Return all ticks since the simulation's start.
+
+    Commands that are lost, which the log times tell, are held as the tick before.
+
+    Raises
+    ------
+    SessionError
+        When nothing was applied, or what was applied before is not known.
+    """
+    path = session.path
+    if not session.motions:
+        raise SessionError(f"{path}: no command topic: no tick's applied motion was recorded")
+    period = float(session.metadata["tick_period"]) * 1e9
+    resets = [time for time, event in session.events if event.get("event") == "reset"]
+    motions, ticks = session.motions, []
+    if session.before is None:
+        motions = [entry for entry in motions if resets and entry[0] > resets[0]]
+        if not motions:
+            raise SessionError(f"{path}: what was applied before the recording is not known")
+        last, now = resets[0], STILL
+    else:
+        ticks = [Tick(motion, None) for motion, count in session.before for _ in range(count)]
+        last, now = round(len(ticks) * period), ticks[-1].motion if ticks else STILL
+    waiting = [time for time in resets if time >= last]
+    for time, motion in motions:
+        fresh = bool(waiting) and time > waiting[0]
+        while waiting and time > waiting[0]:
+            last, now = waiting.pop(0), STILL
+        missing = max(0, round((time - last) / period) - 1)
+        for k in range(missing):
+            at = last + round((k + 1) * period)
+            ticks.append(Tick(now, at, reset=fresh and k == 0, held=True))
+        ticks.append(Tick(motion, time, reset=fresh and not missing))
+        last, now = time, motion
+    return ticks
+
+
+def replay(
+    session: Session,
+    simulator: Simulator,
+    ticks: list[Tick],
+    advance: Callable[[], object] = lambda: None,
+) -> Replay:
+    """Step a simulator through the ticks of a session.
+
+    Parameters
+    ----------
+    session : Session
+        Gives tick period and frames.
+    simulator : Simulator
+        At its start.
+    ticks : list of Tick
+        See :func:`replay_ticks`.
+    advance : callable
+        Called after each tick.
+
+    Raises
+    ------
+    SessionError
+        When the simulator refuses a tick, with its time.
+    """
+    about = session.metadata
+    encoders = channels.output_encoders(about["tissue_frame"], about["base_frame"])
+    outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in encoders}
+    for tick, observation in _steps(simulator, ticks, float(about["tick_period"])):
+        advance()
+        if tick.log_time is None:
+            continue
+        stamp = round(observation.time * 1e9)
+        for channel, encode in encoders.items():
+            times, messages = outputs[channel.role]
+            times.append(tick.log_time)
+            messages.append(encode(stamp, observation))
+    held = sum(tick.held for tick in ticks)
+    series = series_of(outputs, simulator.scene.to_yaml(), about)
+    return Replay(outputs, series, len(ticks), held)
+
+
+def _steps(simulator: Simulator, ticks: list[Tick], period: float) -> Iterator[tuple[Tick, Any]]:
+    motion, command = STILL, STILL.command()
+    for tick in ticks:
+        if tick.reset:
+            simulator.reset()
+        if tick.motion != motion:
+            motion, command = tick.motion, tick.motion.command()
+        try:
+            observation = simulator.step(command, period)
+        except NeedleSimError as error:
+            when = (
+                "before the recording" if tick.log_time is None else f"{tick.log_time * 1e-9:g} s"
+            )
+            raise SessionError(f"the replay ends at {when}: {error}") from error
+        yield tick, observation
