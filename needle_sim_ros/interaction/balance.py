@@ -26,7 +26,7 @@ from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.track import Track
-from needle_sim_ros.needle import beam
+from needle_sim_ros.needle import beam, tip
 from needle_sim_ros.scene import Scene
 
 if TYPE_CHECKING:
@@ -93,7 +93,9 @@ class Balance:
         self._tip_at = np.array([self._length])
         tissue = scene.tissue
         # lateral stiffness of the tissue per length of needle, N/m per m
-        self._grip = tissue.youngs_modulus * (tissue.thickness if scene.dimension == 2 else 1.0)
+        bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
+        width = tissue.thickness / bevel if scene.dimension == 2 else 1.0
+        self._grip = tissue.youngs_modulus * width
 
     def slope(self, bent: ContactState | BalanceSolution) -> Vector:
         """Return the needle's slopes at the tip, shape (d - 1,)."""
