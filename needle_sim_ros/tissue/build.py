@@ -112,8 +112,8 @@ def _touched(scene: Scene, model: TissueModel) -> Index:
     # to the side to which the bevel steers, with room for what the tissue adds
     tip = scene.needle.tip
     if scene.dimension == 3:
-        # no wider: solves are dear, and the worker foresees what leaves the plan
-        places = center[:, None, :] + _swept(scene, math.tan(tip.deviation_angle) * depths)
+        # less room than in 2D: solves are dear, and the worker foresees what leaves the plan
+        places = center[:, None, :] + _swept(scene, 1.5 * math.tan(tip.deviation_angle) * depths)
         return _nodes_at(model, places.reshape(-1, 3))
     drift = 2 * math.tan(tip.deviation_angle) * math.cos(tip.roll) * depths
     start, end = np.minimum(drift, 0.0) - radius, np.maximum(drift, 0.0) + radius
