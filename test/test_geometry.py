@@ -20,7 +20,9 @@ def test_rotations_are_those_of_scipy(a, b):
     product = geometry.multiply(p, q)
     matrix = geometry.rotation_matrix(product)
     np.testing.assert_allclose(matrix, theirs.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(geometry.multiply(p, geometry.conjugate(p)), [0, 0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(
+        geometry.multiply(p, geometry.conjugate(p)), [0, 0, 0, 1], atol=1e-12
+    )
 
 
 @settings(deadline=None)
