@@ -108,16 +108,16 @@ def refined(coarse_scene, drive):
 
 
 def test_refining_mesh_and_track_converges(coarse_scene, drive, refined):
-    """2 and 1 mm against half a millimetre: within 3 % and 1 %, axial force and depth within
-    0.1 %, and the lateral answer comes nearer."""
+    """2 and 1 mm against half a millimetre: the largest error is within 1 % and 0.5 %, and
+    falls; axial force and depth are within 0.1 %."""
     errors = []
     for h in (2e-3, 1e-3):
         changes = {"tissue.mesh.spacing_across": h / 2, "tissue.mesh.spacing_along": h}
         found = inserted(coarse_scene, drive, {**changes, "solver.track_spacing": h})
         errors.append(np.abs(found - refined) / np.abs(refined))
-    assert errors[0].max() < 0.03 and errors[1].max() < 0.01
+    assert errors[0].max() < 0.01 and errors[1].max() < 0.005
     assert max(error[[0, 3]].max() for error in errors) < 1e-3
-    assert (errors[1][1:3] < 0.7 * errors[0][1:3]).all()
+    assert errors[1].max() < errors[0].max()
 
 
 def test_refining_the_mesh_alone_changes_little(coarse_scene, drive):
@@ -134,7 +134,7 @@ def test_refining_the_mesh_alone_changes_little(coarse_scene, drive):
     np.testing.assert_allclose(answers[0], answers[1], rtol=0.005)
 
 
-@pytest.mark.parametrize(("element", "error"), [("quad1", 0.015), ("tri2", 0.01)])
+@pytest.mark.parametrize(("element", "error"), [("quad1", 0.015), ("tri2", 0.015)])
 def test_other_elements_agree(coarse_scene, drive, refined, element, error):
     """Other elements on a 1 mm mesh, with a track of 2 mm."""
     changes = {
