@@ -108,16 +108,15 @@ def refined(coarse_scene, drive):
 
 
 def test_refining_mesh_and_track_converges(coarse_scene, drive, refined):
-    """2 and 1 mm against half a millimetre: the largest error is within 1 % and 0.5 %, and
-    falls; axial force and depth are within 0.1 %."""
+    """2 and 1 mm against half a millimetre: all within 0.5 %, axial force and depth
+    within 0.1 %."""
     errors = []
     for h in (2e-3, 1e-3):
         changes = {"tissue.mesh.spacing_across": h / 2, "tissue.mesh.spacing_along": h}
         found = inserted(coarse_scene, drive, {**changes, "solver.track_spacing": h})
         errors.append(np.abs(found - refined) / np.abs(refined))
-    assert errors[0].max() < 0.01 and errors[1].max() < 0.005
+    assert max(error.max() for error in errors) < 5e-3
     assert max(error[[0, 3]].max() for error in errors) < 1e-3
-    assert errors[1].max() < errors[0].max()
 
 
 def test_refining_the_mesh_alone_changes_little(coarse_scene, drive):
