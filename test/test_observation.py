@@ -86,7 +86,7 @@ def test_the_tip_stands_off_the_axis_by_its_deflection(visited, process):
     """tip = base + R (deflection + L e_z)."""
     o, _ = visited[1][process]
     rotation = rotation_matrix(o.base_orientation)
-    expected = o.base_position + rotation @ (o.tip_deflection + [0, 0, 0.13])
+    expected = o.base_position + rotation @ (o.tip_deflection + np.array([0, 0, 0.13]))
     np.testing.assert_allclose(o.tip_position, expected, atol=1e-15)
 
 
@@ -106,9 +106,7 @@ def test_markers_move_with_the_field(visited, process):
     sim, seen = visited
     o, snapshot = seen[process]
     sim.restore(snapshot)
-    np.testing.assert_allclose(
-        sim.tissue_displacement(MARKERS), o.marker_displacements, atol=1e-11
-    )
+    np.testing.assert_allclose(sim.tissue_displacement(MARKERS), o.marker_displacements, atol=1e-11)
     np.testing.assert_allclose(o.marker_positions, MARKERS + o.marker_displacements, atol=1e-17)
     np.testing.assert_allclose(o.marker_displacements[3], 0.0, atol=1e-17)  # on a held face
     if process is Process.INSERTION:
@@ -133,7 +131,9 @@ def test_held_faces_stand_still(visited, process):
 def test_outside_the_tissue_there_is_no_displacement(simulator, drive):
     sim = simulator()
     drive(sim, 8.0, (0, 0, -3e-3))
-    found = sim.tissue_displacement([[0, 0, 0.001], [0.07, 0, -0.01], [0, 0, -0.081], [0, 0, -0.01]])
+    found = sim.tissue_displacement(
+        [[0, 0, 0.001], [0.07, 0, -0.01], [0, 0, -0.081], [0, 0, -0.01]]
+    )
     assert np.isnan(found[:3]).all() and np.isfinite(found[3]).all()
     assert sim.tissue_displacement(np.empty((0, 3))).shape == (0, 3)
 
@@ -168,11 +168,13 @@ def test_old_observations_stay_what_they_were(simulator, drive):
 def test_a_base_that_leans_reports_in_its_own_frame(simulator, drive):
     """Pushing in along an inclined axis gives force z < 0 in the base frame."""
     direction = np.array([-math.sin(0.3), 0.0, -math.cos(0.3)])
-    sim = simulator({
-        "base.position": (-0.132 * direction).tolist(),
-        "base.orientation": [math.cos(0.15), 0.0, -math.sin(0.15), 0.0],
-        "protocol": [{"duration": 5.0, "velocity": (3e-3 * direction).tolist()}],
-    })
+    sim = simulator(
+        {
+            "base.position": (-0.132 * direction).tolist(),
+            "base.orientation": [math.cos(0.15), 0.0, -math.sin(0.15), 0.0],
+            "protocol": [{"duration": 5.0, "velocity": (3e-3 * direction).tolist()}],
+        }
+    )
     o = drive(sim, 5.0, 3e-3 * direction)[-1]
     assert o.base_force[2] < -0.3
     assert abs(o.base_force[0]) < 0.1 * abs(o.base_force[2])

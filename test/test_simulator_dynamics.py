@@ -59,12 +59,14 @@ def test_a_slow_insertion_is_nearly_quasi_static(coarse_scene, drive):
 
 
 def test_the_tissue_comes_to_rest_in_a_hold(coarse_scene, drive):
-    """A stop from 50 mm/s: the markers still move at the next tick, and soon no more."""
+    """A stop from 50 mm/s: the markers still move at the next tick; 0.8 s later nothing moves
+    them but the tip's relaxation, which takes 1.5 s."""
     sim = Simulator(coarse_scene({**FULL, "solver.modes": 60, "solver.time_step": 2e-3}))
     drive(sim, 0.6, (0, 0, -50e-3), dt=2e-3)
     hold = np.array([o.marker_displacements for o in drive(sim, 1.0, dt=2e-3)])
     speeds = np.abs(np.diff(hold, axis=0)).max(axis=(1, 2))
-    assert speeds[:5].max() > 20 * speeds[-100:].max()
+    assert speeds[:5].max() > 5 * speeds[-100:].max()
+    np.testing.assert_allclose(np.diff(np.log(speeds[-100:])).mean(), -2e-3 / 1.5, rtol=0.05)
 
 
 @pytest.mark.parametrize("modes", [0, 20])
@@ -73,12 +75,14 @@ def test_drawn_fast_out_of_a_dent(coarse_scene, drive, modes, speed):
     """Pressed 3 mm into an unbroken surface and drawn off faster than it comes back: free,
     perhaps touched once more, and away; no command is refused."""
     sim = Simulator(
-        coarse_scene({
-            "solver.dynamics": "newmark",
-            "solver.modes": modes,
-            "interaction.puncture.force": 5.0,
-            "base.position": [0.0, 0.0, 0.131],
-        })
+        coarse_scene(
+            {
+                "solver.dynamics": "newmark",
+                "solver.modes": modes,
+                "interaction.puncture.force": 5.0,
+                "base.position": [0.0, 0.0, 0.131],
+            }
+        )
     )
     pressed = drive(sim, 1.3, (0, 0, -3e-3), dt=0.05)[-1]
     assert pressed.process is Process.CONTACT and pressed.tip_force > 0.5
