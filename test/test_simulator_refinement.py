@@ -108,15 +108,16 @@ def refined(coarse_scene, drive):
 
 
 def test_refining_mesh_and_track_converges(coarse_scene, drive, refined):
-    """2 and 1 mm against half a millimetre: all within 0.5 %, axial force and depth
-    within 0.1 %."""
+    """4, 2 and 1 mm against half a millimetre: within 2 %, 0.3 % and 0.3 %."""
     errors = []
-    for h in (2e-3, 1e-3):
+    for h in (4e-3, 2e-3, 1e-3):
         changes = {"tissue.mesh.spacing_across": h / 2, "tissue.mesh.spacing_along": h}
         found = inserted(coarse_scene, drive, {**changes, "solver.track_spacing": h})
         errors.append(np.abs(found - refined) / np.abs(refined))
-    assert max(error.max() for error in errors) < 5e-3
-    assert max(error[[0, 3]].max() for error in errors) < 1e-3
+    assert errors[0].max() < 0.02
+    assert errors[1].max() < 3e-3 and errors[2].max() < 3e-3
+    # axial force and depth
+    assert errors[1][[0, 3]].max() < 1e-3 and errors[2][[0, 3]].max() < 1e-3
 
 
 def test_refining_the_mesh_alone_changes_little(coarse_scene, drive):
@@ -133,7 +134,7 @@ def test_refining_the_mesh_alone_changes_little(coarse_scene, drive):
     np.testing.assert_allclose(answers[0], answers[1], rtol=0.005)
 
 
-@pytest.mark.parametrize(("element", "error"), [("quad1", 0.015), ("tri2", 0.015)])
+@pytest.mark.parametrize(("element", "error"), [("quad1", 0.015), ("tri2", 0.02)])
 def test_other_elements_agree(coarse_scene, drive, refined, element, error):
     """Other elements on a 1 mm mesh, with a track of 2 mm."""
     changes = {
@@ -144,4 +145,4 @@ def test_other_elements_agree(coarse_scene, drive, refined, element, error):
     found = inserted(coarse_scene, drive, changes)
     same = inserted(coarse_scene, drive, {**changes, "tissue.mesh.element": "quad2"})
     np.testing.assert_allclose(found, same, rtol=error)
-    np.testing.assert_allclose(found, refined, rtol=error + 0.03)
+    np.testing.assert_allclose(found, refined, rtol=error)

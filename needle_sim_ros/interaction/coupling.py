@@ -11,20 +11,22 @@ limit under refinement exists, which point forces do not have.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.mesh import Index
+from needle_sim_ros.tissue.mesh import Index, spacings
 from needle_sim_ros.tissue.model import TissueModel
 
-_CHORD, _CHORD_WEIGHT = np.polynomial.legendre.leggauss(8)
+# least points of quadrature, and for each cell of the mesh: fewer act as forces on points
+_ON_CHORD, _ON_SIDE, _PER_CELL = 8, 3, 2
 # in 3D rings of equal angles, Gauss's rule in the square of the radius
 _RINGS, _RING_WEIGHT = np.polynomial.legendre.leggauss(3)
 _ANGLES = (np.arange(8) + 0.5) * (np.pi / 4)
 # places along the track ahead of the tip at which its needs are foreseen
 _AHEAD = 8
-_ALONG, _ALONG_WEIGHT = np.polynomial.legendre.leggauss(3)
 
 
 class Coupling:
@@ -39,6 +41,11 @@ class Coupling:
 
     def __init__(self, model: TissueModel, radius: float) -> None:
         self._model, self._radius = model, radius
+        across, along, _ = spacings(model.scene)
+        count = max(_ON_CHORD, math.ceil(_PER_CELL * 2 * radius / across))
+        self._chord, self._chord_weight = np.polynomial.legendre.leggauss(count)
+        count = max(_ON_SIDE, math.ceil(_PER_CELL * model.scene.solver.track_spacing / along))
+        self._along, self._along_weight = np.polynomial.legendre.leggauss(count)
 
     def hat(self, before: Vector, point: Vector, after: Vector) -> Footprint:
         """Return the footprint of a track point.
@@ -51,12 +58,12 @@ class Coupling:
         places, weights = [], []
         for other in (before, after):
             span = other - point
-            part = 0.5 * (_ALONG + 1)  # 0 at the point, 1 at the neighbour
+            part = 0.5 * (self._along + 1)  # 0 at the point, 1 at the neighbour
             length = float(np.linalg.norm(span))
             section, share = self._section(span / length)
             along = point + part[:, None] * span
             places.append((along[:, None, :] + section[None, :, :]).reshape(-1, len(point)))
-            hat = 0.5 * _ALONG_WEIGHT * (1 - part) * length
+            hat = 0.5 * self._along_weight * (1 - part) * length
             weights.append((hat[:, None] * share[None, :]).ravel())
         return self._gather(np.concatenate(places), np.concatenate(weights))
 
@@ -96,7 +103,7 @@ class Coupling:
         if len(direction) == 3:
             return self._disc(direction)
         normal = np.array([-direction[1], direction[0]])
-        return self._radius * _CHORD[:, None] * normal, 0.5 * _CHORD_WEIGHT
+        return self._radius * self._chord[:, None] * normal, 0.5 * self._chord_weight
 
     def _disc(self, direction: Vector) -> tuple[Vector, Vector]:
         # two normals to the track; which ones hardly matters to a mean over the disc
