@@ -12,7 +12,7 @@ from typing import Any
 
 from needle_sim_ros.errors import NeedleSimError
 
-_SWITCH_INTERVAL = 5e-4  # s; the default of 5 ms lets another thread hold up several ticks
+_SWITCH_INTERVAL = 1e-4  # s; the default of 5 ms lets another thread hold up several ticks
 
 
 def main(args: list[str] | None = None) -> int:
