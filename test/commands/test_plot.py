@@ -5,6 +5,7 @@ import json
 import shutil
 
 import numpy as np
+from mcap.reader import make_reader
 
 from needle_sim_ros.cli import main
 from needle_sim_ros.commands.session_plot import _section
@@ -37,7 +38,12 @@ def test_the_section_is_the_recorded_one_simulated_again(recorded):
 def test_a_recording_cut_off_is_drawn_as_far_as_it_goes(recorded, tmp_path, capsys):
     cut = tmp_path / "cut.mcap"
     whole = next((recorded / "bag").glob("*.mcap"))
-    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    with whole.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert len(chunks) > 1
+    # in the middle of the last chunk, wherever the recorder's clock put it
+    last = chunks[-1]
+    cut.write_bytes(whole.read_bytes()[: last.chunk_start_offset + last.chunk_length // 2])
     result = tmp_path / "cut.json"
     assert main(["plot", f"{cut}", "--output", f"{tmp_path}/cut.png", "--json", f"{result}"]) == 0
     ticks = json.loads(result.read_text())["summary"]["ticks"]
