@@ -11,15 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needle_sim_ros.base_motion import (
+    AT_REST,
+    BaseMotion,
+    check,
+    commanded,
+    jumps,
+    newmark_parts,
+    part_way,
+    static_parts,
+)
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import CommandError, SolverError
-from needle_sim_ros.geometry import (
-    Vector,
-    conjugate,
-    from_rotation_vector,
-    multiply,
-    to_rotation_vector,
-)
+from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, Step
 from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
@@ -33,8 +37,6 @@ from needle_sim_ros.statistics import Statistics
 from needle_sim_ros.tissue.build import build_tissue, plane_points
 from needle_sim_ros.tissue.response import ResponseTable
 
-_STEEPEST = math.cos(math.radians(80))
-
 
 class Snapshot(NamedTuple):
     """Everything a simulation remembers; made and taken by :class:`Simulator`."""
@@ -44,6 +46,7 @@ class Snapshot(NamedTuple):
     position: Vector
     orientation: Vector
     pose: BasePose
+    rate: tuple[float, ...]  # of the base in the last tick
     process: Process
     contact: ContactState
     tissue: Any
@@ -93,6 +96,7 @@ class Simulator:
             position,
             quaternion,
             BasePose.of(position, quaternion, scene.dimension),
+            AT_REST,
             Process.FREE,
             self._contact_laws.at_rest(),
             self._dynamics.initial(),
@@ -133,32 +137,30 @@ class Simulator:
         began = time.perf_counter()
         state = self._state
         dt = self._checked(dt)
-        position, quaternion, turning = self._target(state, command, dt)
-        parts = self._parts(state, position, turning, dt)
+        motion = commanded(command, state.position, state.orientation, dt)
+        check(self.scene, state.contact, state.pose, state.orientation, motion)
         contact, tissue, pose = state.contact, state.tissue, state.pose
-        orientation = state.orientation
-        advance = 0.0
-        for part in range(1, parts + 1):
-            if part == parts:
-                place, orientation = position, quaternion
+        advance = done = 0.0
+        for share, settling in self._parts(state, motion, dt):
+            here = motion
+            if share < 1.0:
+                here = part_way(motion, state.position, state.orientation, share)
+            if motion.orientation is state.orientation:
+                after = pose.moved_to(here.position)
             else:
-                share = part / parts
-                place = state.position + share * (position - state.position)
-                orientation = multiply(from_rotation_vector(share * turning), state.orientation)
-            if quaternion is not state.orientation:
-                after = BasePose.of(place, orientation, self.scene.dimension)
-            else:
-                after = pose.moved_to(place)
-            contact, tissue, moved = self._substep(contact, tissue, pose, after, dt / parts)
+                after = BasePose.of(here.position, here.orientation, self.scene.dimension)
+            part = (share - done) * dt
+            contact, tissue, moved = self._part(contact, tissue, pose, after, part, settling)
             advance += moved
-            pose = after
+            pose, done = after, share
         process = classify(contact.touching, contact.inserted, advance)
         self._state = Snapshot(
             state.time + dt,
             state.ticks + 1,
-            position,
-            quaternion,
+            motion.position,
+            motion.orientation,
             pose,
+            motion.rate,
             process,
             contact,
             tissue,
@@ -170,11 +172,17 @@ class Simulator:
         self.statistics.tick(time.perf_counter() - began, contact.solves, contact.residual)
         return self.observe()
 
-    def _substep(
-        self, contact: ContactState, tissue: Any, before: BasePose, after: BasePose, dt: float
+    def _part(
+        self,
+        contact: ContactState,
+        tissue: Any,
+        before: BasePose,
+        after: BasePose,
+        dt: float,
+        settling: bool,
     ) -> tuple[ContactState, Any, float]:
         dynamics = self._dynamics
-        prediction = dynamics.predict(tissue)
+        prediction = dynamics.predict(tissue, settling)
         step = Step(
             before,
             after,
@@ -202,70 +210,18 @@ class Simulator:
                 )
         return dt
 
-    def _target(
-        self, state: Snapshot, command: BaseCommand, dt: float
-    ) -> tuple[Vector, Vector, Vector]:
-        """Return position, orientation and rotation vector of the base after a tick."""
-        position, quaternion, turning = state.position, state.orientation, np.zeros(3)
-        if command.position is not None:
-            position = command.position
-        elif command.velocity is not None:
-            position = position + dt * command.velocity
-        if command.orientation is not None:
-            quaternion = command.orientation
-            turning = to_rotation_vector(multiply(quaternion, conjugate(state.orientation)))
-        elif command.angular_velocity is not None and command.angular_velocity.any():
-            turning = dt * command.angular_velocity
-            quaternion = multiply(from_rotation_vector(turning), quaternion)
-            quaternion = quaternion / np.linalg.norm(quaternion)
-        if not math.isfinite(position.sum()):
-            raise CommandError("the command takes the base to a place that is not finite")
-        if quaternion is not state.orientation and not turning.any():
-            quaternion = state.orientation
-        self._admissible(state, position, quaternion)
-        return position, quaternion, turning
-
-    def _admissible(self, state: Snapshot, position: Vector, quaternion: Vector) -> None:
-        scene = self.scene
-        if scene.dimension == 2 and abs(position[1]) > 1e-9:
-            raise CommandError(f"a 2D scene moves in the plane y = 0, not to y = {position[1]:g} m")
-        turned = quaternion is not state.orientation
-        touching = state.contact.touching or state.contact.inserted
-        if turned:
-            x, y, z, w = quaternion.tolist()
-            # base y must stay normal to the plane
-            if scene.dimension == 2 and max(abs(x * y + z * w), abs(y * z - x * w)) > 5e-7:
-                raise CommandError("a 2D scene turns about y only")
-            if touching and 2 * (x * x + y * y) - 1 < _STEEPEST:
-                raise CommandError("the needle would turn out of the tissue, over 80 deg from -z")
-        if not touching:
-            return
-        if position[2] <= 0:
-            raise CommandError(f"the base would enter the tissue, at z = {position[2]:g} m")
-        if state.contact.track is None:
-            return
-        pose = BasePose.of(position, quaternion, scene.dimension) if turned else state.pose
-        kept = position.tolist() if scene.dimension == 3 else position[::2].tolist()
-        away = [a - b for a, b in zip(kept, state.contact.track.points[0].tolist(), strict=True)]
-        for axis in pose.terms[:-1]:
-            aside = abs(sum(away[i] * c for i, c in axis))
-            if aside > scene.needle.length / 2:
-                raise CommandError(
-                    f"the base would be {aside:g} m beside the entry, more than half the needle"
-                )
-
-    def _parts(self, state: Snapshot, position: Vector, turning: Vector, dt: float) -> int:
+    def _parts(
+        self, state: Snapshot, motion: BaseMotion, dt: float
+    ) -> tuple[tuple[float, bool], ...]:
+        """Return where the parts of a tick end, as shares, and whether they settle."""
+        touching = state.contact.inserted or state.contact.touching
         if self._own_step is not None:
-            return round(dt / self._own_step)
-        if (
-            not (state.contact.inserted or state.contact.touching)
-            and position[2] > (state.position[2])
-        ):
-            return 1
-        advance = math.dist(position, state.position)
-        angle = math.hypot(*turning)
-        spacing = self.scene.solver.track_spacing
-        return max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / 0.05))
+            settling = touching and self._dynamics.settles
+            jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)
+            return newmark_parts(round(dt / self._own_step), jump)
+        if not touching and motion.rate[2] > 0:
+            return newmark_parts(1, False)
+        return static_parts(motion, state.position, self.scene.solver.track_spacing)
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

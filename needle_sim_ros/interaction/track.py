@@ -8,6 +8,7 @@ track without remeshing, and the track stays as a channel when the needle is dra
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -59,6 +60,11 @@ class Track:
     table: ResponseTable
     heading: Vector | None = None
     ahead: NextPoint | None = None
+
+    @cached_property
+    def entry(self) -> list[float]:
+        """Coordinates of the first point, m."""
+        return [float(x) for x in self.points[0]]
 
     @property
     def count(self) -> int:

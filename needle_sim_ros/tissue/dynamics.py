@@ -37,12 +37,17 @@ class Dynamics(Protocol):
         """Modes that amend the compliance of a step."""
         ...
 
+    @property
+    def settles(self) -> bool:
+        """Whether a step can be taken as two settling halves, after a jump of the motion."""
+        ...
+
     def initial(self) -> Any:
         """Return the state at rest."""
         ...
 
-    def predict(self, state: Any) -> Prediction:
-        """Start a step."""
+    def predict(self, state: Any, settling: bool = False) -> Prediction:
+        """Start a step, or half a step that settles."""
         ...
 
     def complete(self, state: Any, prediction: Any, table: ResponseTable, forces: Vector) -> Any:
@@ -78,6 +83,7 @@ class QuasiStatic:
     """No inertia, no damping: the tissue is in equilibrium with the forces of the moment."""
 
     modes = None
+    settles = False
 
     def __init__(self, model: TissueModel, factor: Factor, compliance: NodalCompliance) -> None:
         self._model, self._factor, self.compliance = model, factor, compliance
@@ -86,7 +92,7 @@ class QuasiStatic:
         """Nothing is remembered."""
         return
 
-    def predict(self, state: None) -> _AtRest:
+    def predict(self, state: None, settling: bool = False) -> _AtRest:
         """Without forces the tissue is at rest."""
         return _AtRest()
 

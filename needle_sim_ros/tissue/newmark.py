@@ -49,6 +49,15 @@ class NewmarkRule:
             solver.time_step, solver.newmark.delta, solver.newmark.xi, damping.alpha, damping.beta
         )
 
+    def settling(self) -> SettlingRule:
+        """Return the rule of half a step that damps what rings."""
+        return SettlingRule(self.step, self.delta, self.xi, self.alpha, self.beta)
+
+    @property
+    def settles(self) -> bool:
+        """Whether halves by :class:`SettlingRule` share the matrix; damping pairs need none."""
+        return abs(self.delta**2 - self.xi) < 1e-12
+
     @property
     def stiffness_factor(self) -> float:
         """Factor of K in the effective matrix: 1 + beta delta / (xi dt)."""
@@ -74,6 +83,27 @@ class NewmarkRule:
         return v + dt * ((1.0 - delta) * a + delta * after), after
 
 
+class SettlingRule(NewmarkRule):
+    """Half a step by the backward Euler method, which forgets what Newmark's keeps ringing.
+
+    Where the base's velocity jumps, so does that of the tissue that sticks to the needle.
+    With delta = 0.5 the answer to a jump alternates from step to step and does not die
+    away; two such halves in place of one step damp it (Rannacher 1984), and their matrix
+    is the one of the whole step: K + M / (dt/2)^2 + C / (dt/2).
+    """
+
+    def history(self, u: Vector, v: Vector, a: Vector) -> tuple[Vector, Vector]:
+        """Return what M and what C multiply on the right."""
+        half = 0.5 * self.step
+        return u / half**2 + v / half, u / half
+
+    def rates(self, new: Vector, u: Vector, v: Vector, a: Vector) -> tuple[Vector, Vector]:
+        """Return velocity and acceleration at the end of the half step."""
+        half = 0.5 * self.step
+        rate = (new - u) / half
+        return rate, (rate - v) / half
+
+
 @dataclass(frozen=True)
 class Motion:
     """Displacement, velocity and acceleration of the free unknowns."""
@@ -89,6 +119,7 @@ class FreeMotion:
 
     u: Vector
     nodal: Vector
+    rule: NewmarkRule
 
     def rows(self, table: ResponseTable) -> Vector:
         """Sample it at the rows of a table."""
@@ -109,24 +140,30 @@ class FullNewmark:
         self, model: TissueModel, factor: Factor, compliance: NodalCompliance, rule: NewmarkRule
     ) -> None:
         self._model, self._factor, self.compliance = model, factor, compliance
-        self.rule = rule
+        self.rule, self._settling = rule, rule.settling()
         self._readers = compliance.reader_matrix
+
+    @property
+    def settles(self) -> bool:
+        """Whether a step can be taken as two settling halves."""
+        return self.rule.settles
 
     def initial(self) -> Motion:
         """At rest."""
         zero = np.zeros(len(self._model.free))
         return Motion(zero, zero, zero)
 
-    def predict(self, state: Motion) -> FreeMotion:
+    def predict(self, state: Motion, settling: bool = False) -> FreeMotion:
         """Solve Eq. (4) with no load at the end of the step."""
+        rule = self._settling if settling else self.rule
         if not (state.u.any() or state.v.any() or state.a.any()):
-            return FreeMotion(state.u, expand(self._model, state.u))
-        inertia, damping = self.rule.history(state.u, state.v, state.a)
+            return FreeMotion(state.u, expand(self._model, state.u), rule)
+        inertia, damping = rule.history(state.u, state.v, state.a)
         load = self._model.mass @ (inertia + self.rule.alpha * damping)
         if self.rule.beta:
             load += self._model.stiffness @ (self.rule.beta * damping)
         u = self._factor.solve(load)
-        return FreeMotion(u, expand(self._model, u))
+        return FreeMotion(u, expand(self._model, u), rule)
 
     def complete(
         self, state: Motion, prediction: FreeMotion, table: ResponseTable, forces: Vector
@@ -136,7 +173,7 @@ class FullNewmark:
         if forces.any():
             loads = table.spread(forces).ravel()[self._model.free]
             u = u + self._factor.solve(loads)
-        v, a = self.rule.rates(u, state.u, state.v, state.a)
+        v, a = prediction.rule.rates(u, state.u, state.v, state.a)
         return Motion(u, v, a)
 
     def at(

@@ -32,12 +32,28 @@ class ModalMotion(NamedTuple):
     forces: Vector
 
 
+class _Coefficients(NamedTuple):
+    """A rule, linear in the state, as numbers.
+
+    Modal displacement is ``carry`` of the old (u, v, a) plus the response to forces; the
+    rates are ``of_old`` of the old state plus ``of_new`` of the new displacement; the
+    filter takes ``filtered`` of itself and ``forces`` of the last forces.
+    """
+
+    carry: Vector
+    of_old: Vector
+    of_new: Vector
+    filtered: float
+    forces: float
+
+
 class ModalPrediction(NamedTuple):
     """Modal displacement and filtered forces at the end of a step without contact forces."""
 
     u: Vector
     filtered: Vector
     flexibility: Vector
+    rule: _Coefficients
 
     def rows(self, table: ResponseTable) -> Vector:
         """Return the displacement of the rows of a table, shape (n, d)."""
@@ -91,46 +107,59 @@ class ReducedNewmark:
             self.eigenvalues + 1.0 / (rule.xi * rule.step**2) + stiff * self._damping
         )
         self._flexibility = 1.0 / self.eigenvalues
-        # the rule is linear in u, v, a: its coefficients, read off unit states
-        one, zero = np.ones(1), np.zeros(1)
-        units = [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
-        history = [rule.history(*unit) for unit in units]
-        self._carry = np.array(
-            [self._dynamic * (float(m[0]) + self._damping * float(c[0])) for m, c in history]
-        )
-        kept = [rule.rates(zero, *unit) for unit in units]
-        self._rates_of_old = np.array([[0.0] * 3, *np.array(kept)[:, :, 0].T])
-        made = rule.rates(one, zero, zero, zero)
-        self._rates_of_new = np.array([[1.0], made[0], made[1]])
         # beta u' + u = C f by the same rule as the modes, so that full order is what it tends to
         ratio = np.inf if rule.beta == 0 else rule.step / rule.beta
         weight = 1.0 + rule.delta * ratio
         self._share = 1.0 if rule.beta == 0 else rule.delta * ratio / weight
-        self._of_filtered = 0.0 if rule.beta == 0 else (1 - (1 - rule.delta) * ratio) / weight
-        self._of_forces = 0.0 if rule.beta == 0 else (1 - rule.delta) * ratio / weight
+        undamped = rule.beta == 0
+        self._newmark = self._coefficients(
+            rule,
+            0.0 if undamped else (1 - (1 - rule.delta) * ratio) / weight,
+            0.0 if undamped else (1 - rule.delta) * ratio / weight,
+        )
+        self._settling = self._coefficients(rule.settling(), 1.0 - self._share, 0.0)
         nodal = np.stack([expand(model, shape) for shape in shapes.T], axis=2)
         self.modes = ModalPart(nodal, self._dynamic, self._flexibility, self._share)
         self._read_shapes = compliance.reader_matrix @ shapes
         self._shapes = shapes
+
+    def _coefficients(self, rule: NewmarkRule, filtered: float, forces: float) -> _Coefficients:
+        """Read off unit states what a rule carries on."""
+        one, zero = np.ones(1), np.zeros(1)
+        units = [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
+        history = [rule.history(*unit) for unit in units]
+        carry = [self._dynamic * (float(m[0]) + self._damping * float(c[0])) for m, c in history]
+        kept = [rule.rates(zero, *unit) for unit in units]
+        of_old = np.array([[0.0] * 3, *np.array(kept)[:, :, 0].T])
+        made = rule.rates(one, zero, zero, zero)
+        of_new = np.array([[1.0], made[0], made[1]])
+        return _Coefficients(np.array(carry), of_old, of_new, filtered, forces)
+
+    @property
+    def settles(self) -> bool:
+        """Whether a step can be taken as two settling halves."""
+        return self.rule.settles
 
     def initial(self) -> ModalMotion:
         """At rest."""
         none = np.zeros((0, self._model.dimension))
         return ModalMotion(np.zeros((3, len(self.eigenvalues))), none, none)
 
-    def predict(self, state: ModalMotion) -> ModalPrediction:
+    def predict(self, state: ModalMotion, settling: bool = False) -> ModalPrediction:
         """Move the modes without load at the end of the step (Eq. 4, mode by mode)."""
-        u = np.einsum("im,im->m", self._carry, state.modal)
-        filtered = self._of_filtered * state.filtered + self._of_forces * state.forces
-        return ModalPrediction(u, filtered, self._flexibility)
+        rule = self._settling if settling else self._newmark
+        u = (rule.carry * state.modal).sum(axis=0)
+        filtered = rule.filtered * state.filtered
+        filtered += rule.forces * state.forces
+        return ModalPrediction(u, filtered, self._flexibility, rule)
 
     def complete(
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
     ) -> ModalMotion:
         """Load the modes and the filter with the contact forces (Eqs. 2 and 3)."""
         u = prediction.u + self._dynamic * (table.modal() @ forces.ravel())
-        modal = self._rates_of_old @ state.modal
-        modal += self._rates_of_new * u
+        modal = prediction.rule.of_old @ state.modal
+        modal += prediction.rule.of_new * u
         filtered = self._share * forces + _widened(prediction.filtered, table.count)
         return ModalMotion(modal, filtered, forces)
 

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a command does to the needle base in a tick, and into which parts the tick falls."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from needle_sim_ros.command import BaseCommand
+from needle_sim_ros.errors import CommandError
+from needle_sim_ros.geometry import (
+    Vector,
+    conjugate,
+    from_rotation_vector,
+    multiply,
+    to_rotation_vector,
+)
+from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.scene import Scene
+
+_STEEPEST = math.cos(math.radians(80))
+# rad that the base turns at most in a part of a tick
+_TURN = 0.05
+# change of velocity, in proportion to the larger one, from which it counts as a jump
+_JUMP = 0.2
+_NO_TURN = np.zeros(3)
+_WHOLE = ((1.0, False),)
+
+
+class BaseMotion(NamedTuple):
+    """The base's motion in a tick.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,)
+        At the end, tissue frame, m.
+    orientation : ndarray, shape (4,)
+        At the end, quaternion x y z w; the object of before when the base does not turn.
+    turning : ndarray, shape (3,)
+        Rotation vector of the tick, tissue frame, rad.
+    rate : tuple of float
+        Velocity, m/s, and turning rate, rad/s, along x y z.
+    """
+
+    position: Vector
+    orientation: Vector
+    turning: Vector
+    rate: tuple[float, ...]
+
+
+AT_REST = (0.0,) * 6
+
+
+def commanded(command: BaseCommand, position: Vector, orientation: Vector, dt: float) -> BaseMotion:
+    """Return what a command does to a base at a position (3,) and orientation (4,)."""
+    after, quaternion, turning = position, orientation, _NO_TURN
+    if command.position is not None:
+        after = command.position
+    elif command.velocity is not None:
+        after = position + dt * command.velocity
+    if command.orientation is not None:
+        quaternion = command.orientation
+        turning = to_rotation_vector(multiply(quaternion, conjugate(orientation)))
+        if not turning.any():
+            quaternion = orientation
+    elif command.angular_velocity is not None and command.angular_velocity.any():
+        turning = dt * command.angular_velocity
+        quaternion = multiply(from_rotation_vector(turning), orientation)
+        quaternion = quaternion / np.linalg.norm(quaternion)
+    x, y, z = after.tolist()
+    if not math.isfinite(x + y + z):
+        raise CommandError("the command takes the base to a place that is not finite")
+    a, b, c = position.tolist()
+    u, v, w = (0.0, 0.0, 0.0) if turning is _NO_TURN else turning.tolist()
+    rate = ((x - a) / dt, (y - b) / dt, (z - c) / dt, u / dt, v / dt, w / dt)
+    return BaseMotion(after, quaternion, turning, rate)
+
+
+def part_way(motion: BaseMotion, position: Vector, orientation: Vector, share: float) -> BaseMotion:
+    """Return where the base is after a share of its motion in a tick."""
+    place = position + share * (motion.position - position)
+    turned = motion.orientation
+    if turned is not orientation:
+        turned = multiply(from_rotation_vector(share * motion.turning), orientation)
+    return motion._replace(position=place, orientation=turned)
+
+
+def jumps(rate: tuple[float, ...], before: tuple[float, ...], length: float) -> bool:
+    """Tell whether the base's velocity jumps; of turning, the speed at a length counts, m."""
+    if rate == before:
+        return False
+    scales = (1.0, 1.0, 1.0, length, length, length)
+    largest = max(abs(r) * s for pair in (rate, before) for r, s in zip(pair, scales, strict=True))
+    change = max(abs(r - b) * s for r, b, s in zip(rate, before, scales, strict=True))
+    return change > _JUMP * largest
+
+
+def newmark_parts(count: int, jump: bool) -> tuple[tuple[float, bool], ...]:
+    """Return the parts of a tick with Newmark: where each ends, and whether it settles.
+
+    Parameters
+    ----------
+    count : int
+        Time steps in the tick.
+    jump : bool
+        The first one becomes two settling halves.
+    """
+    if count == 1 and not jump:
+        return _WHOLE
+    ends = [(step / count, False) for step in range(1, count + 1)]
+    if jump:
+        ends[:1] = [(0.5 / count, True), (1.0 / count, True)]
+    return tuple(ends)
+
+
+def static_parts(
+    motion: BaseMotion, position: Vector, spacing: float
+) -> tuple[tuple[float, bool], ...]:
+    """Return the parts of a quasi-static tick: of half a track spacing at most, m."""
+    advance = math.dist(motion.position, position)
+    angle = 0.0 if motion.turning is _NO_TURN else math.hypot(*motion.turning)
+    count = max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / _TURN))
+    return _WHOLE if count == 1 else newmark_parts(count, False)
+
+
+def check(
+    scene: Scene, contact: ContactState, pose: BasePose, before: Vector, motion: BaseMotion
+) -> None:
+    """Raise CommandError where the base must not go.
+
+    Parameters
+    ----------
+    scene : Scene
+    contact : ContactState
+    pose : BasePose
+        Before the tick.
+    before : ndarray, shape (4,)
+        Orientation before the tick.
+    motion : BaseMotion
+    """
+    _, y, z = motion.position.tolist()
+    if scene.dimension == 2 and abs(y) > 1e-9:
+        raise CommandError(f"a 2D scene moves in the plane y = 0, not to y = {y:g} m")
+    turned = motion.orientation is not before
+    touching = contact.touching or contact.inserted
+    if turned:
+        _check_orientation(motion.orientation, scene.dimension, touching)
+    if not touching:
+        return
+    if z <= 0:
+        raise CommandError(f"the base would enter the tissue, at z = {z:g} m")
+    if contact.track is None:
+        return
+    if turned:
+        pose = BasePose.of(motion.position, motion.orientation, scene.dimension)
+    kept = motion.position.tolist()
+    if scene.dimension == 2:
+        del kept[1]
+    away = [a - b for a, b in zip(kept, contact.track.entry, strict=True)]
+    for axis in pose.terms[:-1]:
+        aside = abs(sum(away[i] * c for i, c in axis))
+        if aside > scene.needle.length / 2:
+            raise CommandError(
+                f"the base would be {aside:g} m beside the entry, more than half the needle"
+            )
+
+
+def _check_orientation(quaternion: Vector, dimension: int, touching: bool) -> None:
+    x, y, z, w = quaternion.tolist()
+    # base y must stay normal to the plane
+    if dimension == 2 and max(abs(x * y + z * w), abs(y * z - x * w)) > 5e-7:
+        raise CommandError("a 2D scene turns about y only")
+    if touching and 2 * (x * x + y * y) - 1 < _STEEPEST:
+        raise CommandError("the needle would turn out of the tissue, over 80 deg from -z")
