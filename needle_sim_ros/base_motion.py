@@ -88,10 +88,20 @@ def part_way(motion: BaseMotion, position: Vector, orientation: Vector, share: f
     return motion._replace(position=place, orientation=turned)
 
 
-def jumps(rate: tuple[float, ...], before: tuple[float, ...], length: float) -> bool:
-    """Tell whether the base's velocity jumps; of turning, the speed at a length counts, m."""
+def jumps(rate: tuple[float, ...], before: tuple[float, ...] | None, length: float) -> bool:
+    """Tell whether the tissue's velocity jumps at the start of a tick.
+
+    Parameters
+    ----------
+    rate, before : tuple of float, shape (6,)
+        Of the base in this tick and the last one; None where contact began or broke.
+    length : float
+        Of turning, the speed at this length counts, m.
+    """
     if rate == before:
         return False
+    if before is None:
+        return True
     scales = (1.0, 1.0, 1.0, length, length, length)
     largest = max(abs(r) * s for pair in (rate, before) for r, s in zip(pair, scales, strict=True))
     change = max(abs(r - b) * s for r, b, s in zip(rate, before, scales, strict=True))

@@ -46,7 +46,7 @@ class Snapshot(NamedTuple):
     position: Vector
     orientation: Vector
     pose: BasePose
-    rate: tuple[float, ...]  # of the base in the last tick
+    rate: tuple[float, ...] | None  # of the base in the last tick; None when contact changed
     process: Process
     contact: ContactState
     tissue: Any
@@ -153,6 +153,10 @@ class Simulator:
             contact, tissue, moved = self._part(contact, tissue, pose, after, part, settling)
             advance += moved
             pose, done = after, share
+        unchanged = (contact.touching, contact.inserted) == (
+            state.contact.touching,
+            state.contact.inserted,
+        )
         process = classify(contact.touching, contact.inserted, advance)
         self._state = Snapshot(
             state.time + dt,
@@ -160,7 +164,7 @@ class Simulator:
             motion.position,
             motion.orientation,
             pose,
-            motion.rate,
+            motion.rate if unchanged else None,
             process,
             contact,
             tissue,
