@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from needle_sim_ros.geometry import Vector, rotation_matrix
-from needle_sim_ros.interaction.coupling import coverage
+from needle_sim_ros.interaction.spreading import coverage
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.needle.tip import bevel_length
 from needle_sim_ros.observation import Observation

@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction import friction
 from needle_sim_ros.interaction.contact_solve import solve_contact
-from needle_sim_ros.interaction.coupling import coverage
+from needle_sim_ros.interaction.friction import FrictionStart
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
+from needle_sim_ros.interaction.spreading import LEAST, coverage, tip_share
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.track import Track
 from needle_sim_ros.needle import beam, tip
@@ -31,11 +33,6 @@ from needle_sim_ros.scene import Scene
 
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
-
-# inserted length, in track spacings, below which a point carries nothing yet
-_LEAST = 1e-6
-# advances up to this, m, count as a hold
-STILL = 1e-12
 
 
 class TipLimit(NamedTuple):
@@ -91,6 +88,8 @@ class Balance:
         self._rigidity = scene.needle.flexural_rigidity
         self._tolerance = scene.solver.tolerance
         self._tip_at = np.array([self._length])
+        spacing = scene.solver.track_spacing
+        self._places = spacing * np.arange(3.0 + self._length / spacing)
         tissue = scene.tissue
         # lateral stiffness of the tissue per length of needle, N/m per m
         bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
@@ -168,43 +167,41 @@ class Balance:
             m.
         limit : TipLimit
         """
-        pose, free = step.after, step.free(track.table)
-        h, m = track.spacing, len(pose.lateral)
+        pose, h = step.after, track.spacing
         last = min(int(depth / h), track.count - 2)  # the last point that the tip has passed
         n = last + 2  # rows: the points passed and the one ahead of the tip
-        behind: Vector = depth - h * np.arange(
-            last + 1, dtype=float
-        )  # the tip is so far beyond each point
-        held = max(1, last + (behind[-1] > _LEAST * h))
+        held = max(1, last + (depth - h * last > LEAST * h))
+        free = step.free(track.table)
+        placed = track.points + free
         length = coverage(depth, n, h)
         share = tip_share(length, depth, limit.spread, h)
-        slip, strain = _fitted(slip, n), _fitted(strain, n)
-        guess = _guess(status, n)
-        low, high = self._limits(track, slip, strain, guess[:-1], step.advance)
+        bounds = friction.guess(status, n)
+        start = FrictionStart.of(track, slip, strain, bounds, step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
-        soft = np.zeros(held)
-        soft[1:] = self._softness(track, behind[1:held], limit.spread)
-        end = track.at(depth) + share @ free[:n] - pose.origin
+        short = pose.origin - track.at(depth) - share @ free[:n]
+        presliding = np.maximum(length, LEAST * h)
+        presliding *= stiffness
+        np.reciprocal(presliding, out=presliding)
+        elastic = (moved[:n] - free[:n]) @ pose.axial
+        elastic += step.advance
+        elastic += start.strain
         problem = SlidingProblem(
             pose=pose,
             between=track.table.between(n),
-            arclength=self._length - behind[:held],
-            softness=soft,
-            presliding=1.0 / (stiffness * np.maximum(length, _LEAST * h)),
+            arclength=self._places[:held] + (self._length - depth),
+            softness=self._softness(depth, held, limit.spread, h),
+            presliding=presliding,
             share=share,
             tip_softness=1e-6 / (stiffness * h),
-            aside=((pose.origin - track.points[:held] - free[:held]) @ pose.lateral.T).T.ravel(),
-            elastic=strain + (step.advance + (moved[:n] - free[:n]) @ pose.axial),
-            reach=self._length - float(pose.axial @ end),
-            low=-low * length,
-            high=high * length,
+            aside=(pose.origin - placed[:held]) @ pose.lateral.T,
+            elastic=elastic,
+            reach=self._length + float(pose.axial @ short),
             tip_bound=limit.force,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
         )
-        found = problem.solve(guess)
+        found, slipped = self._solved(problem, start, length, bounds)
 
-        lateral = found.lateral.reshape(m, held)
         forces = found.forces
         if n < track.count:
             forces = np.zeros_like(track.points)
@@ -212,18 +209,15 @@ class Balance:
             after = free + track.table.displacement(found.forces)
         else:
             after = free + found.moved
-        new_strain = problem.presliding * found.friction
-        slid = problem.elastic - found.moved @ pose.axial
-        slid -= new_strain
         return BalanceSolution(
             active=n,
-            lateral=lateral,
+            lateral=found.lateral,
             friction=found.friction,
             tip=found.tip,
             arclength=problem.arclength,
             share=share,
-            strain=new_strain,
-            slip=self._slip(slip, strain, found, problem, slid, step.advance),
+            strain=found.strain,
+            slip=slipped,
             moved=after,
             forces=forces,
             status=found.status,
@@ -232,102 +226,45 @@ class Balance:
             overlap=found.overlap,
         )
 
-    def _limits(
+    def _solved(
         self,
-        track: Track,
-        slip: Vector,
-        strain: Vector,
-        status: NDArray[np.int8],
-        advance: float,
-    ) -> tuple[Vector, Vector]:
-        """Return the friction limits of a step per length, back and forth, N/m, shapes (n,).
-
-        What slides goes on sliding by the advance of the needle; what turns round has to
-        stick first, so that in the other direction the static limit stands.
-        """
-        n = len(slip)
-        static, kinetic = track.static[:n], track.kinetic[:n]
-        onward = np.where(status * advance > 0, abs(advance), 0.0)
-        along = self.laws.friction(static, kinetic, slip + onward)
-        return np.where(strain > 0, static, along), np.where(strain < 0, static, along)
-
-    def _slip(
-        self,
-        slip: Vector,
-        strain: Vector,
-        found: TrackForces,
         problem: SlidingProblem,
-        slid: Vector,
-        advance: float,
-    ) -> Vector:
-        """Return the slip since the points last stuck, m.
+        start: FrictionStart,
+        length: Vector,
+        bounds: NDArray[np.int8],
+    ) -> tuple[TrackForces, Vector]:
+        """Solve for the forces; return them and the slip since the points last stuck."""
+        if start.sliding:
+            limit = friction.sliding_limit(self.laws, start) * length
+            limit *= start.sliding
+            found = problem.sliding(limit, bounds)
+            if found is not None:
+                return found, start.slip + np.abs(found.slid)
+        low, high = friction.limits(self.laws, start)
+        low, high = -low * length, high * length
+        found = None
+        if not start.sliding and bounds.all():
+            found = problem.sliding(np.where(bounds[:-1] > 0, high, low), bounds)
+        if found is None:
+            found = problem.bounded(low, high, bounds)
+        bound = np.where(found.friction > 0, high, -low)
+        slipped = friction.slip_after(
+            self.laws, start, found.status[:-1], found.friction, bound, found.slid
+        )
+        return found, slipped
 
-        A point that sticks in a hold starts anew. While the needle moves it does so as far
-        as it is unloaded, and wholly where the friction turns round: whether it stuck for
-        the length of a tick must not matter.
-        """
-        sliding = found.status[:-1] != 0
-        turned = found.friction * strain < 0
-        after = np.where(turned, 0.0, slip)
-        after[sliding] += np.abs(slid[sliding])
-        if not sliding.all():
-            if abs(advance) <= STILL:
-                after[~sliding] = 0.0
-            else:
-                whole = self.laws.interaction.friction.weakening_distance
-                bound = np.where(found.friction > 0, problem.high, -problem.low)
-                loaded = whole * np.abs(found.friction) / np.maximum(bound, 1e-300)
-                np.minimum(after, loaded, out=after, where=~sliding)
-        return after
-
-    def _softness(self, track: Track, behind: Vector, bevel: float) -> Vector:
-        """Return how much softer the needle holds track points near its tip, m/N.
+    def _softness(self, depth: float, held: int, bevel: float, spacing: float) -> Vector:
+        """Return how much softer the needle holds track points near its tip, m/N, (held,).
 
         The bevel thins the needle to nothing at the tip: there it holds the tissue
         sideways not at all, and wholly one bevel length behind. The density of the
         lateral force then has no peak at the tip that only the track spacing bounds.
+        The entry is held by its edge.
         """
-        soft = (bevel / (self._grip * track.spacing)) / behind
-        soft -= 1.0 / (self._grip * track.spacing)
-        return np.maximum(soft, 0.0, out=soft)
-
-
-def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Vector:
-    """Return how the tip force is spread over the last bevel length of the track.
-
-    Parameters
-    ----------
-    length : ndarray, shape (n,)
-        Inserted length that each point carries, m.
-    depth, spread, spacing : float
-        Depth of the tip, bevel length, track spacing, m.
-    """
-    share = length
-    if depth > spread:
-        share = share - coverage(depth - spread, len(length), spacing)
-    total = float(share.sum())
-    if total <= _LEAST * spacing:
-        first = np.zeros(len(length))
-        first[0] = 1.0
-        return first
-    return np.asarray(share / total)
-
-
-def _fitted(values: Vector, n: int) -> Vector:
-    """Cut or extend to n entries: the needle slides by a new point as by the last one."""
-    if len(values) >= n:
-        return values[:n]
-    wider = np.full(n, values[-1] if len(values) else 0.0)
-    wider[: len(values)] = values
-    return wider
-
-
-def _guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:
-    """Fit the bounds that held before to n friction forces and the tip."""
-    if len(status) == 0:
-        return np.zeros(n + 1, dtype=np.int8)
-    friction, tip = status[:-1], status[-1:]
-    if len(friction) < n:
-        last = friction[-1] if len(friction) else 0
-        friction = np.append(friction, np.full(n - len(friction), last, dtype=np.int8))
-    return np.concatenate([friction[:n], tip])
+        soft = np.zeros(held)
+        last = held - 1
+        behind = depth - last * spacing  # the tip is so far beyond a point
+        while last > 0 and behind < bevel:
+            soft[last] = (bevel / behind - 1.0) / (self._grip * spacing)
+            last, behind = last - 1, behind + spacing
+        return soft

@@ -15,7 +15,8 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import STILL, Balance, BalanceSolution, TipLimit
+from needle_sim_ros.interaction.balance import Balance, BalanceSolution, TipLimit
+from needle_sim_ros.interaction.friction import STILL
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState

@@ -133,21 +133,3 @@ def _merged(nodes: Index, shares: Vector) -> tuple[Index, Vector]:
     total = np.bincount(where.ravel(), weights=shares.ravel(), minlength=len(merged))
     keep = np.abs(total) > 1e-14 * np.abs(total).max()
     return merged[keep], total[keep]
-
-
-def coverage(depth: float, count: int, spacing: float) -> Vector:
-    """Return the inserted length that each track point carries, shape (count,), m.
-
-    The integral of hat k from the entry to `depth`: it grows smoothly as the tip passes,
-    and all of them add up to `depth` once the last hat is reached.
-    """
-    length = np.zeros(count)
-    passed = depth / spacing
-    # only the two points about the tip are partly inserted
-    first = min(max(int(passed), 0), count - 1)
-    length[:first] = spacing
-    for k in range(first, min(first + 2, count)):
-        t = min(passed - k, 1.0)
-        length[k] = spacing * (0.5 * (1 + t) ** 2 if t < 0 else 1 - 0.5 * (1 - t) ** 2)
-    length[0] = max(length[0] - spacing * 0.5, 0.0)  # the entry has no hat above the surface
-    return length

@@ -31,6 +31,10 @@ class TrackForces(NamedTuple):
         All forces on the tissue, mesh coordinates, N.
     moved : ndarray, shape (n, d)
         Displacement by these forces, m.
+    strain : ndarray, shape (n,)
+        Elastic presliding at the end, m.
+    slid : ndarray, shape (n,)
+        Slip in the step, m.
     overlap : float
         How far the tip wants beyond the end of the track, m; 0 where its force is free.
     residual : float
@@ -42,13 +46,15 @@ class TrackForces(NamedTuple):
     tip: float
     forces: Vector
     moved: Vector
+    strain: Vector
+    slid: Vector
     status: NDArray[np.int8]
     overlap: float
     residual: float
     solves: int
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class SlidingProblem:
     """Minimise the complementary energy over the forces, within their bounds.
 
@@ -69,14 +75,12 @@ class SlidingProblem:
         How the tip force is spread.
     tip_softness : float
         Of the tip itself, m/N.
-    aside : ndarray, shape ((d - 1) k,)
+    aside : ndarray, shape (k, d - 1)
         How far the free track points lie from the undeflected needle, negated, m.
     elastic : ndarray, shape (n,)
         Presliding that would be without forces, m.
     reach : float
         How far the tip would be beyond the end of the track without forces, m.
-    low, high : ndarray, shape (n,)
-        Friction limits against and along the axis, N.
     tip_bound : float
         Limit of the tip force, N.
     rigidity : float
@@ -95,63 +99,73 @@ class SlidingProblem:
     aside: Vector
     elastic: Vector
     reach: float
-    low: Vector
-    high: Vector
     tip_bound: float
     rigidity: float
     tolerance: float
 
-    def solve(self, status: NDArray[np.int8]) -> TrackForces:
-        """Solve, starting from a guess of the bounds that hold: friction, and last the tip."""
-        if status.all():
-            found = self._all_sliding(status)
-            if found is not None:
-                return found
-        return self._bounded(status)
+    def sliding(self, friction: Vector, status: NDArray[np.int8]) -> TrackForces | None:
+        """Solve with friction and tip at guessed bounds; None if they do not hold.
 
-    def _all_sliding(self, status: NDArray[np.int8]) -> TrackForces | None:
-        """Solve with friction and tip at the guessed bounds; None if they do not hold."""
+        Parameters
+        ----------
+        friction : ndarray, shape (n,)
+            At its limits, N.
+        status : ndarray of int8, shape (n + 1,)
+            Which bounds these are, and last the tip's; none is 0.
+        """
         pose, k = self.pose, len(self.arclength)
-        m = len(pose.lateral)
-        friction = np.where(status[:-1] > 0, self.high, self.low)
-        tip = self.tip_bound if status[-1] > 0 else 0.0
-        forces = np.multiply.outer(friction + tip * self.share, pose.axial)
+        tip, along_tip = 0.0, int(status[-1]) > 0
+        axial = friction
+        if along_tip:
+            tip = self.tip_bound
+            axial = tip * self.share
+            axial += friction
+        forces = np.multiply.outer(axial, pose.axial)
         pushed = (self.between @ forces.ravel()).reshape(forces.shape)
-        right = self.aside - (pushed[:k] @ pose.lateral.T).T.ravel()
-        s = self.arclength
+        right = self.aside - pushed[:k] @ pose.lateral.T
+        # row-major lower is column-major upper
+        _, lateral, info = lapack.dposv(
+            self._lateral_compliance().T, right.T.ravel(), lower=0, overwrite_a=1, overwrite_b=1
+        )
+        if info != 0:
+            raise SolverError("the lateral compliance is not positive definite")
+        lateral = lateral.reshape(-1, k)
+        forces[:k] += lateral.T @ pose.lateral
+        moved = (self.between @ forces.ravel()).reshape(forces.shape)
+        along = moved @ pose.axial
+        strain = self.presliding * friction
+        slid = self.elastic - along
+        slid -= strain
+        reach = self.reach - float(self.share @ along)
+        overlap = reach - self.tip_softness * tip
+        allowed = self.tolerance * max(float(self.elastic.max()), abs(self.reach))
+        onward = slid * status[:-1]
+        if float(onward.min()) < -allowed or (overlap if along_tip else -overlap) < -allowed:
+            return None
+        return TrackForces(
+            lateral, friction, tip, forces, moved, strain, slid, status, overlap, 0.0, 1
+        )
+
+    def _lateral_compliance(self) -> Vector:
+        """Return what the lateral forces do to the gaps, (m k, m k); lower triangle only."""
+        s, k, m = self.arclength, len(self.arclength), len(self.pose.lateral)
         # a^2 (3 b - a) / 6EI below the diagonal: all that the factorisation reads
         squared = s * s
         bend = np.multiply.outer(s, squared * (0.5 / self.rigidity))
-        bend -= squared * s * (1.0 / (6.0 * self.rigidity))
+        squared *= s
+        squared *= 1.0 / (6.0 * self.rigidity)
+        bend -= squared
         bend.reshape(-1)[:: k + 1] += self.softness
         if m == 1:
-            matrix = self._component(0, 0, k, k)
-            matrix += bend
-        else:
-            matrix = np.empty((m * k, m * k))
-            for a in range(m):
-                rows = slice(a * k, (a + 1) * k)
-                for b in range(a + 1):
-                    part = self._component(a, b, k, k)
-                    matrix[rows, b * k : (b + 1) * k] = part
-                matrix[rows, rows] += bend
-        # row-major lower is column-major upper
-        factor, info = lapack.dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
-        if info != 0:
-            raise SolverError("the lateral compliance is not positive definite")
-        lateral, _ = lapack.dpotrs(factor, right, lower=0)
-        forces[:k] += lateral.reshape(m, k).T @ pose.lateral
-        moved = (self.between @ forces.ravel()).reshape(forces.shape)
-        along = moved @ pose.axial
-        slack = self.presliding * friction
-        slack += along
-        slack -= self.elastic
-        slack *= status[:-1]
-        overlap = self.reach - float(self.share @ along) - self.tip_softness * tip
-        allowed = self.tolerance * max(float(self.elastic.max()), abs(self.reach))
-        if float(slack.max()) > allowed or overlap * int(status[-1]) < -allowed:
-            return None
-        return TrackForces(lateral, friction, tip, forces, moved, status, overlap, 0.0, 1)
+            bend += self._component(0, 0, k, k)
+            return bend
+        matrix = np.empty((m * k, m * k))
+        for a in range(m):
+            rows = slice(a * k, (a + 1) * k)
+            for b in range(a + 1):
+                matrix[rows, b * k : (b + 1) * k] = self._component(a, b, k, k)
+            matrix[rows, rows] += bend
+        return matrix
 
     def _component(self, u: int, v: int, rows: int, columns: int) -> Vector:
         """Return the compliance along axis u of the first rows per force along axis v."""
@@ -159,14 +173,24 @@ class SlidingProblem:
         d = len(terms)
         for a, x in terms[u]:
             for b, y in terms[v]:
-                part = self.between[a : d * rows : d, b : d * columns : d] * (x * y)
+                part = self.between[a : d * rows : d, b : d * columns : d]
+                if x * y != 1.0:
+                    part = part * (x * y)
                 total = part if total is None else total + part
         assert total is not None
         return np.asarray(total)
 
-    def _bounded(self, status: NDArray[np.int8]) -> TrackForces:
-        """Solve the bounded problem in full."""
-        pose, k, n = self.pose, len(self.arclength), len(self.high)
+    def bounded(self, low: Vector, high: Vector, status: NDArray[np.int8]) -> TrackForces:
+        """Solve the bounded problem in full.
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (n,)
+            Friction limits against and along the axis, N.
+        status : ndarray of int8, shape (n + 1,)
+            Guess of the bounds that hold: friction, and last the tip.
+        """
+        pose, k, n = self.pose, len(self.arclength), len(high)
         m = len(pose.lateral)
         wide = m * k
         size = wide + n + 1
@@ -178,8 +202,7 @@ class SlidingProblem:
         for a in range(m):
             rows = slice(a * k, (a + 1) * k)
             for b in range(m):
-                part = self._component(a, b, k, k)
-                matrix[rows, b * k : (b + 1) * k] = part
+                matrix[rows, b * k : (b + 1) * k] = self._component(a, b, k, k)
             matrix[rows, rows] += bend
             mixed = self._component(a, m, k, n)
             matrix[rows, wide:-1] = mixed
@@ -189,10 +212,10 @@ class SlidingProblem:
         matrix.reshape(-1)[wide * (size + 1) : -1 : size + 1] += self.presliding
         matrix[wide:-1, -1] = matrix[-1, wide:-1] = pressed
         matrix[-1, -1] = self.share @ pressed + self.tip_softness
-        right = np.concatenate([self.aside, self.elastic, [self.reach]])
+        right = np.concatenate([self.aside.T.ravel(), self.elastic, [self.reach]])
         free = np.full(wide, np.inf)
-        low = np.concatenate([-free, self.low, [0.0]])
-        high = np.concatenate([free, self.high, [self.tip_bound]])
+        low = np.concatenate([-free, low, [0.0]])
+        high = np.concatenate([free, high, [self.tip_bound]])
         guess = np.concatenate([np.zeros(wide, dtype=np.int8), status])
         found = solve_contact(matrix, right, low, high, guess, self.tolerance)
         state = found.status[wide:]
@@ -200,14 +223,19 @@ class SlidingProblem:
         scale = max(float(np.abs(right).max()), 1e-300)
         overlap = -float(found.gradient[-1]) if state[-1] != 0 else 0.0
         lateral, friction, tip = found.x[:wide], found.x[wide:-1], float(found.x[-1])
+        lateral = lateral.reshape(m, k)
         forces = np.multiply.outer(friction + tip * self.share, pose.axial)
-        forces[:k] += lateral.reshape(m, k).T @ pose.lateral
+        forces[:k] += lateral.T @ pose.lateral
+        moved = (self.between @ forces.ravel()).reshape(forces.shape)
+        strain = self.presliding * friction
         return TrackForces(
             lateral,
             friction,
             tip,
             forces,
-            (self.between @ forces.ravel()).reshape(forces.shape),
+            moved,
+            strain,
+            self.elastic - moved @ pose.axial - strain,
             state,
             overlap,
             float(np.abs(loose).max(initial=0.0)) / scale,

@@ -47,6 +47,8 @@ class Track:
         Friction limits at the points, N/m.
     table : ResponseTable
         One row per point.
+    directions : ndarray, shape (n - 1, d)
+        Of the segments, unit vectors.
     heading : ndarray, shape (d,), or None
         Unit direction of the cut half a spacing before the tip reached the last segment.
     ahead : NextPoint or None
@@ -58,6 +60,7 @@ class Track:
     static: Vector
     kinetic: Vector
     table: ResponseTable
+    directions: Vector
     heading: Vector | None = None
     ahead: NextPoint | None = None
 
@@ -75,12 +78,15 @@ class Track:
         self, point: Vector, footprint: Footprint, laws: Laws, heading: Vector | None = None
     ) -> Track:
         limits = laws.at(point)
+        last = self.points[-1:]
+        direction = (point - last) / self.spacing  # none where there is no last point
         return Track(
             self.spacing,
             np.vstack([self.points, point]),
             np.append(self.static, limits.static),
             np.append(self.kinetic, limits.kinetic),
             self.table.appended(footprint),
+            np.vstack([self.directions, direction]),
             heading,
         )
 
@@ -95,18 +101,16 @@ class Track:
 
     def at(self, depth: float) -> Vector:
         """Return the point at a depth along the track, shape (d,)."""
-        return self._between(depth)[0]
+        segment = self._segment(depth)
+        beyond = depth - segment * self.spacing
+        return np.asarray(self.points[segment] + beyond * self.directions[segment])
 
     def direction(self, depth: float) -> Vector:
         """Return the unit direction of the segment at a depth, shape (d,)."""
-        return self._between(depth)[1]
+        return np.asarray(self.directions[self._segment(depth)])
 
-    def _between(self, depth: float) -> tuple[Vector, Vector]:
-        points = self.points
-        segment = int(min(max(depth / self.spacing, 0.0), len(points) - 1.000001))
-        start = points[segment]
-        along = (points[segment + 1] - start) / self.spacing
-        return start + (depth - segment * self.spacing) * along, along
+    def _segment(self, depth: float) -> int:
+        return int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
 
 
 class TrackLayer:
@@ -129,7 +133,7 @@ class TrackLayer:
         self.coupling, self.laws = coupling, laws
         none = np.empty(0)
         points = np.empty((0, empty.compliance.dimension))
-        self._empty = Track(spacing, points, none, none, empty)
+        self._empty = Track(spacing, points, none, none, empty, points)
 
     def touch(self, entry: Vector, direction: Vector) -> Track:
         """Start with the cross-section at the entry, perpendicular to a unit direction."""

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needle_sim_ros.interaction.coupling import Coupling, coverage
+from needle_sim_ros.interaction.coupling import Coupling
+from needle_sim_ros.interaction.spreading import coverage
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction along the needle: its limits in a step, and the slip that it remembers.
+
+Static friction falls to kinetic as a point slips (segments DE and FG of Fig. 3).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.interaction.track import Track
+
+# advances up to this, m, count as a hold
+STILL = 1e-12
+
+
+class FrictionStart(NamedTuple):
+    """What the points along the needle bring into a step.
+
+    Attributes
+    ----------
+    static, kinetic : ndarray, shape (n,)
+        Limits at the points, N/m.
+    slip : ndarray, shape (n,)
+        Since the point last stuck, m.
+    strain : ndarray, shape (n,)
+        Elastic presliding, m.
+    status : ndarray of int8, shape (n,)
+        Bounds that hold, as guessed.
+    advance : float
+        Of the needle in the step, m.
+    sliding : int
+        1 or -1 where all points are guessed to go on sliding as they do, else 0.
+    """
+
+    static: Vector
+    kinetic: Vector
+    slip: Vector
+    strain: Vector
+    status: NDArray[np.int8]
+    advance: float
+    sliding: int
+
+    @classmethod
+    def of(
+        cls, track: Track, slip: Vector, strain: Vector, status: NDArray[np.int8], advance: float
+    ) -> FrictionStart:
+        """Fit what was before to a step; `status` has one entry more, the tip's."""
+        n = len(status) - 1
+        slip, strain = _fitted(slip, n), _fitted(strain, n)
+        total = int(status.sum())
+        sliding = (total > 0) - (total < 0)
+        if abs(total) <= n or advance * sliding <= 0 or float((sliding * strain).min()) <= 0:
+            sliding = 0
+        static, kinetic = track.static[:n], track.kinetic[:n]
+        return cls(static, kinetic, slip, strain, status[:-1], advance, sliding)
+
+
+def limits(laws: Laws, start: FrictionStart) -> tuple[Vector, Vector]:
+    """Return the friction limits of a step per length, back and forth, N/m, shapes (n,).
+
+    What slides goes on sliding by the advance of the needle; what turns round has to
+    stick first, so that in the other direction the static limit stands.
+    """
+    _, _, slip, strain, status, advance, _ = start
+    onward = np.where(status * advance > 0, abs(advance), 0.0)
+    along = laws.friction(start.static, start.kinetic, slip + onward)
+    return np.where(strain > 0, start.static, along), np.where(strain < 0, start.static, along)
+
+
+def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
+    """Return the limits of points that all go on sliding as they do, N/m, shape (n,)."""
+    onward = abs(start.advance)
+    if float(start.slip.min()) + onward >= laws.interaction.friction.weakening_distance:
+        return start.kinetic
+    return laws.friction(start.static, start.kinetic, start.slip + onward)
+
+
+def slip_after(
+    laws: Laws,
+    start: FrictionStart,
+    status: NDArray[np.int8],
+    friction: Vector,
+    bound: Vector,
+    slid: Vector,
+) -> Vector:
+    """Return the slip since the points last stuck, m, shape (n,).
+
+    A point that sticks in a hold starts anew. While the needle moves it does so as far
+    as it is unloaded, and wholly where the friction turns round: whether it stuck for
+    the length of a tick must not matter.
+
+    Parameters
+    ----------
+    laws : Laws
+    start : FrictionStart
+    status : ndarray of int8, shape (n,)
+        Bounds that hold.
+    friction, bound : ndarray, shape (n,)
+        Friction and the largest it may be, N.
+    slid : ndarray, shape (n,)
+        In the step, m.
+    """
+    sliding = status != 0
+    after = np.where(friction * start.strain < 0, 0.0, start.slip)
+    after[sliding] += np.abs(slid[sliding])
+    if not sliding.all():
+        if abs(start.advance) <= STILL:
+            after[~sliding] = 0.0
+        else:
+            whole = laws.interaction.friction.weakening_distance
+            loaded = whole * np.abs(friction) / np.maximum(bound, 1e-300)
+            np.minimum(after, loaded, out=after, where=~sliding)
+    return after
+
+
+def guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:
+    """Fit the bounds that held before to n friction forces and the tip."""
+    if len(status) == n + 1:
+        return status
+    if len(status) == 0:
+        return np.zeros(n + 1, dtype=np.int8)
+    friction, tip = status[:-1], status[-1:]
+    if len(friction) < n:
+        last = friction[-1] if len(friction) else 0
+        friction = np.append(friction, np.full(n - len(friction), last, dtype=np.int8))
+    return np.concatenate([friction[:n], tip])
+
+
+def _fitted(values: Vector, n: int) -> Vector:
+    """Cut or extend to n entries: the needle slides by a new point as by the last one."""
+    if len(values) >= n:
+        return values[:n]
+    wider = np.full(n, values[-1] if len(values) else 0.0)
+    wider[: len(values)] = values
+    return wider
