@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a command does to the needle base in a tick, and into which parts the tick falls."""
+"""What a command does to the needle base in a tick."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.scene import Scene
 
 _STEEPEST = math.cos(math.radians(80))
-# rad that the base turns at most in a part of a tick
+# rad that the base turns at most in a step of a tick
 _TURN = 0.05
 # change of velocity, in proportion to the larger one, from which it counts as a jump
 _JUMP = 0.2
 _NO_TURN = np.zeros(3)
-_WHOLE = ((1.0, False),)
 
 
 class BaseMotion(NamedTuple):
@@ -108,32 +107,11 @@ def jumps(rate: tuple[float, ...], before: tuple[float, ...] | None, length: flo
     return change > _JUMP * largest
 
 
-def newmark_parts(count: int, jump: bool) -> tuple[tuple[float, bool], ...]:
-    """Return the parts of a tick with Newmark: where each ends, and whether it settles.
-
-    Parameters
-    ----------
-    count : int
-        Time steps in the tick.
-    jump : bool
-        The first one becomes two settling halves.
-    """
-    if count == 1 and not jump:
-        return _WHOLE
-    ends = [(step / count, False) for step in range(1, count + 1)]
-    if jump:
-        ends[:1] = [(0.5 / count, True), (1.0 / count, True)]
-    return tuple(ends)
-
-
-def static_parts(
-    motion: BaseMotion, position: Vector, spacing: float
-) -> tuple[tuple[float, bool], ...]:
-    """Return the parts of a quasi-static tick: of half a track spacing at most, m."""
+def static_steps(motion: BaseMotion, position: Vector, spacing: float) -> int:
+    """Return into how many steps of half a track spacing, m, a quasi-static tick falls."""
     advance = math.dist(motion.position, position)
     angle = 0.0 if motion.turning is _NO_TURN else math.hypot(*motion.turning)
-    count = max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / _TURN))
-    return _WHOLE if count == 1 else newmark_parts(count, False)
+    return max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / _TURN))
 
 
 def check(

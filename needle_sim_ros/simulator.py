@@ -17,9 +17,8 @@ from needle_sim_ros.base_motion import (
     check,
     commanded,
     jumps,
-    newmark_parts,
     part_way,
-    static_parts,
+    static_steps,
 )
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import CommandError, SolverError
@@ -140,23 +139,29 @@ class Simulator:
         motion = commanded(command, state.position, state.orientation, dt)
         check(self.scene, state.contact, state.pose, state.orientation, motion)
         contact, tissue, pose = state.contact, state.tissue, state.pose
-        advance = done = 0.0
-        for share, settling in self._parts(state, motion, dt):
-            here = motion
-            if share < 1.0:
-                here = part_way(motion, state.position, state.orientation, share)
-            if motion.orientation is state.orientation:
-                after = pose.moved_to(here.position)
-            else:
-                after = BasePose.of(here.position, here.orientation, self.scene.dimension)
-            part = (share - done) * dt
-            contact, tissue, moved = self._part(contact, tissue, pose, after, part, settling)
-            advance += moved
-            pose, done = after, share
-        unchanged = (contact.touching, contact.inserted) == (
-            state.contact.touching,
-            state.contact.inserted,
-        )
+        steps, settling = self._steps(state, motion, dt)
+        advance = 0.0
+        altered = False
+        for number in range(steps):
+            was = contact.touching, contact.inserted
+            halves = 2 if settling else 1
+            for half in range(1, halves + 1):
+                share = (number + half / halves) / steps
+                here = motion
+                if share < 1.0:
+                    here = part_way(motion, state.position, state.orientation, share)
+                if motion.orientation is state.orientation:
+                    after = pose.moved_to(here.position)
+                else:
+                    after = BasePose.of(here.position, here.orientation, self.scene.dimension)
+                duration = dt / (steps * halves)
+                contact, tissue, moved = self._part(
+                    contact, tissue, pose, after, duration, settling
+                )
+                advance += moved
+                pose = after
+            altered = was != (contact.touching, contact.inserted)
+            settling = altered and self._dynamics.settles
         process = classify(contact.touching, contact.inserted, advance)
         self._state = Snapshot(
             state.time + dt,
@@ -164,7 +169,7 @@ class Simulator:
             motion.position,
             motion.orientation,
             pose,
-            motion.rate if unchanged else None,
+            None if altered else motion.rate,
             process,
             contact,
             tissue,
@@ -214,18 +219,16 @@ class Simulator:
                 )
         return dt
 
-    def _parts(
-        self, state: Snapshot, motion: BaseMotion, dt: float
-    ) -> tuple[tuple[float, bool], ...]:
-        """Return where the parts of a tick end, as shares, and whether they settle."""
+    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, bool]:
+        """Return into how many steps a tick falls, and whether the first one has to settle."""
         touching = state.contact.inserted or state.contact.touching
         if self._own_step is not None:
             settling = touching and self._dynamics.settles
             jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)
-            return newmark_parts(round(dt / self._own_step), jump)
+            return round(dt / self._own_step), jump
         if not touching and motion.rate[2] > 0:
-            return newmark_parts(1, False)
-        return static_parts(motion, state.position, self.scene.solver.track_spacing)
+            return 1, False
+        return static_steps(motion, state.position, self.scene.solver.track_spacing), False
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

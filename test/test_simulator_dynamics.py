@@ -103,3 +103,20 @@ def test_what_a_retraction_leaves_behind_relaxes(coarse_scene, dt):
     assert o.process is Process.FREE
     assert np.abs(o.marker_displacements).max() < 1e-6
     assert np.abs(sim.tissue_displacement([[0.001, 0, -0.003]])).max() < 1e-6
+
+
+def test_a_sudden_stop_does_not_ring(coarse_scene, drive):
+    """Stopped from 12 mm/s, base force at steps of 10 ms against 1.25 ms, both read every
+    10 ms: within 2 % of its largest at every reading, 0.2 % in the mean. The plain rule is
+    14 % off, as friction of points that stick alternates from step to step."""
+    forces = []
+    for dt in (0.01, 0.00125):
+        changes = {**FULL, "solver.modes": 60, "solver.time_step": dt}
+        sim = Simulator(coarse_scene(changes))
+        parts = [(2.5, (0, 0, -12e-3)), (0.5, (0, 0, 0)), (0.5, (0, 0, 12e-3))]
+        every = round(0.01 / dt)
+        seen = [o.base_force[2] for t, v in parts for o in drive(sim, t, v, dt=dt)]
+        forces.append(np.array(seen[every - 1 :: every]))
+    off = np.abs(forces[0] - forces[1]) / np.abs(forces[1]).max()
+    assert off.max() < 0.02
+    assert off.mean() < 0.002

@@ -15,8 +15,9 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import Balance, BalanceSolution, TipLimit
+from needle_sim_ros.interaction.balance import Balance, TipLimit
 from needle_sim_ros.interaction.friction import STILL
+from needle_sim_ros.interaction.growth import SETTLED, TrackGrowth
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
@@ -28,11 +29,7 @@ from needle_sim_ros.tissue.response import ResponseTable
 
 # of the cutting rate of the last step, how much of it the next one is taken to cut beforehand
 _FORESIGHT = 0.98
-# how far the tip may end from where a step took it to be, in track spacings
-_SETTLED = 0.02
 _MOST_ROUNDS = 400
-# parts of a segment that the tip has passed when the point after it is aimed, prepared, laid
-_AIMED, _PREPARED, _LAID = 0.5, 0.65, 0.8
 # how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
 # way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
 _FARTHEST = 4
@@ -81,6 +78,7 @@ class Contact:
     def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
         self._scene, self._layer, self.laws = scene, layer, laws
         self._balance = Balance(scene, laws)
+        self._growth = TrackGrowth(scene, layer, self._balance)
         self._bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
         self._half = np.array(scene.tissue.size) / 2
         self._dimension = scene.dimension
@@ -178,9 +176,7 @@ class Contact:
         if solution.overlap <= 0:
             return state._replace(**solution.fields(), touching=True)
         # the surface breaks: the same step goes on with a track
-        slope = self._balance.slope(solution)
-        direction = self._heading(step, state.track, slope, state.forces, 0.0)
-        track = self._layer.extend(self._layer.aim(state.track, direction))
+        track = self._growth.opened(state.track, step, solution, state.forces)
         wider = np.zeros_like(track.points)
         wider[:1] = state.moved
         return self.at_rest()._replace(
@@ -215,7 +211,8 @@ class Contact:
         solves = 0
         solution = None
         for _ in range(_MOST_ROUNDS):
-            track = self._grown(track, step, solution or state, forces, depth, heading)
+            bent = solution or state
+            track = self._growth.grown(track, step, bent, forces, depth, heading > 0)
             moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
             solution = self._balance.inserted(
@@ -225,7 +222,7 @@ class Contact:
             forces = solution.forces
             change = solution.overlap / float(step.after.axial @ track.direction(depth))
             if engaged:
-                settled = abs(change) <= _SETTLED * track.spacing
+                settled = abs(change) <= SETTLED * track.spacing
                 if change > 0:
                     reached = front
                     front += min(change, track.spacing)
@@ -233,14 +230,14 @@ class Contact:
                     depth = front
                 elif front > state.front and solution.status[-1] <= 0:
                     # foreseen too far: a tip that bears less than its limit has not cut
-                    settled = front - reached <= _SETTLED * finest
+                    settled = front - reached <= SETTLED * finest
                     if not settled:
                         back = reached if missed == math.inf else 0.5 * (reached + front)
                         missed, depth, front = front, back, back
                 elif change < 0:
                     depth, engaged = front + max(change, -track.spacing), False
             else:
-                settled = abs(change) <= _SETTLED * track.spacing and depth + change < front
+                settled = abs(change) <= SETTLED * track.spacing and depth + change < front
                 depth += min(max(change, -track.spacing), track.spacing)
                 if depth >= front:
                     depth, engaged = front, True
@@ -291,69 +288,6 @@ class Contact:
         if advance <= STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)
-
-    def _in_tissue(self, point: Vector) -> bool:
-        deep = -2 * self._half[-1] <= point[-1] <= 0
-        return bool(deep and (np.abs(point[:-1]) <= self._half[:-1]).all())
-
-    def _grown(
-        self,
-        track: Track,
-        step: Step,
-        bent: ContactState | BalanceSolution,
-        forces: Vector,
-        depth: float,
-        heading: int,
-    ) -> Track:
-        """Keep the track ahead of the tip.
-
-        A point is aimed, prepared and laid while the tip passes the last half of the
-        segment before it: one of these a tick, unless the tip is there already.
-        """
-        while True:
-            passed = depth / track.spacing - (track.count - 2)
-            due = passed >= 1.0
-            if passed < _AIMED:
-                return track
-            if track.ahead is None:
-                direction = self._heading(step, track, self._balance.slope(bent), forces, depth)
-                aimed = self._layer.aim(track, direction)
-                assert aimed.ahead is not None
-                if not self._in_tissue(aimed.ahead.point):
-                    beyond = (passed - 1.0) * track.spacing
-                    if not due or (heading <= 0 and beyond <= _SETTLED * track.spacing):
-                        return track  # there is room up to the last point
-                    raise CommandError(
-                        f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m"
-                    )
-                track = aimed
-            elif track.ahead.footprint is None:
-                if not (due or passed >= _PREPARED):
-                    return track
-                track = self._layer.prepare(track)
-            elif due or passed >= _LAID:
-                track = self._layer.extend(track)
-            else:
-                return track
-            if not due:
-                return track
-
-    def _heading(
-        self, step: Step, track: Track, slope: Vector, forces: Vector, depth: float
-    ) -> Vector:
-        """Return the direction of the next piece of track, in the undeformed tissue.
-
-        The direction in space is pulled back by how the tissue ahead of the tip is turned,
-        over the bevel length: a length of the needle, not of the mesh.
-        """
-        needle, pose = self._scene.needle, step.after
-        direction = tip.cutting_direction(needle, pose.axial, pose.lateral, slope)
-        if not forces.any():
-            return direction
-        place = track.at(depth) if track.count > 1 else track.points[0]
-        turning = self._layer.coupling.turning(place, direction, self._bevel)
-        material = direction - step.sample(track.table, forces, turning)
-        return np.asarray(material / np.linalg.norm(material))
 
 
 def _known(moved: Vector, forces: Vector, track: Track, step: Step) -> Vector:

@@ -17,7 +17,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
 
 # track spacings ahead of the tip for which responses are prepared
 _FORESEEN = 14
@@ -26,11 +26,27 @@ _EVERY = 4
 
 
 class NextPoint(NamedTuple):
-    """A point to be laid: its place, the cut's heading then, and its footprint once known."""
+    """A point to be laid, as far as it is known.
 
-    point: Vector
-    heading: Vector
-    footprint: Footprint | None
+    Attributes
+    ----------
+    turning : Footprint or None
+        Reads how the tissue ahead of the tip is turned.
+    point, heading : ndarray, shape (d,), or None
+        Its place, m, and the cut's unit direction when it was aimed.
+    footprint : Footprint or None
+    asked : bool
+        Whether what comes after it was asked for.
+    row : ResponseRow or None
+        Its row of the response table.
+    """
+
+    turning: Footprint | None
+    point: Vector | None = None
+    heading: Vector | None = None
+    footprint: Footprint | None = None
+    asked: bool = False
+    row: ResponseRow | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +91,7 @@ class Track:
         return len(self.points)
 
     def _with(
-        self, point: Vector, footprint: Footprint, laws: Laws, heading: Vector | None = None
+        self, point: Vector, row: ResponseRow, laws: Laws, heading: Vector | None = None
     ) -> Track:
         limits = laws.at(point)
         last = self.points[-1:]
@@ -85,7 +101,7 @@ class Track:
             np.vstack([self.points, point]),
             np.append(self.static, limits.static),
             np.append(self.kinetic, limits.kinetic),
-            self.table.appended(footprint),
+            self.table.appended(row),
             np.vstack([self.directions, direction]),
             heading,
         )
@@ -137,7 +153,20 @@ class TrackLayer:
 
     def touch(self, entry: Vector, direction: Vector) -> Track:
         """Start with the cross-section at the entry, perpendicular to a unit direction."""
-        return self._empty._with(entry, self.coupling.section(entry, direction), self.laws)
+        row = self._empty.table.row(self.coupling.section(entry, direction))
+        return self._empty._with(entry, row, self.laws)
+
+    def foresee(self, track: Track, bevel: float) -> Track:
+        """Find out what tells how the tissue is turned at the middle of the last segment.
+
+        Parameters
+        ----------
+        track : Track
+        bevel : float
+            Bevel length, over which it is turned, m.
+        """
+        middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
+        return replace(track, ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
 
     def aim(self, track: Track, heading: Vector) -> Track:
         """Decide where the next point goes.
@@ -150,27 +179,43 @@ class TrackLayer:
             piece takes the direction expected at its middle, from this and the last
             heading, so that the path converges with the square of the spacing.
         """
-        last, direction = track.points[-1], heading
+        direction = heading
         if track.heading is not None:
             direction = 2.0 * heading - track.heading
             direction = direction / np.linalg.norm(direction)
-        ahead = NextPoint(last + track.spacing * direction, heading, None)
-        return replace(track, ahead=ahead)
+        point = track.points[-1] + track.spacing * direction
+        ahead = track.ahead or NextPoint(None)
+        return replace(track, ahead=ahead._replace(point=point, heading=heading))
 
-    def prepare(self, track: Track) -> Track:
-        """Find out what the next point touches, and have prepared what comes after it."""
-        assert track.ahead is not None
-        last, point = track.points[-1], track.ahead.point
-        hat = self.coupling.hat(last, point, 2 * point - last)
+    def spread(self, track: Track) -> Track:
+        """Find out which nodes the next point touches."""
+        ahead, last = track.ahead, track.points[-1]
+        assert ahead is not None and ahead.point is not None
+        hat = self.coupling.hat(last, ahead.point, 2 * ahead.point - last)
+        return replace(track, ahead=ahead._replace(footprint=hat))
+
+    def ask(self, track: Track) -> Track:
+        """Have prepared beside the ticks what comes after the next point."""
+        ahead = track.ahead
+        assert ahead is not None and ahead.point is not None
         if track.count % _EVERY == 0:
-            direction = (point - last) / track.spacing
-            nodes = self.coupling.ahead(point, direction, _FORESEEN * track.spacing)
+            direction = (ahead.point - track.points[-1]) / track.spacing
+            nodes = self.coupling.ahead(ahead.point, direction, _FORESEEN * track.spacing)
             track.table.compliance.expect(nodes)
-        return replace(track, ahead=track.ahead._replace(footprint=hat))
+        return replace(track, ahead=ahead._replace(asked=True))
+
+    def weigh(self, track: Track) -> Track:
+        """Find out how the tissue answers at the next point, and to forces on it."""
+        ahead = track.ahead
+        assert ahead is not None and ahead.footprint is not None
+        return replace(track, ahead=ahead._replace(row=track.table.row(ahead.footprint)))
 
     def extend(self, track: Track) -> Track:
-        """Lay the next point."""
+        """Lay the next point, once aimed."""
         if track.ahead is None or track.ahead.footprint is None:
-            track = self.prepare(track)
-        assert track.ahead is not None and track.ahead.footprint is not None
-        return track._with(track.ahead.point, track.ahead.footprint, self.laws, track.ahead.heading)
+            track = self.spread(track)
+        if track.ahead is None or track.ahead.row is None:
+            track = self.weigh(track)
+        ahead = track.ahead
+        assert ahead is not None and ahead.point is not None and ahead.row is not None
+        return track._with(ahead.point, ahead.row, self.laws, ahead.heading)

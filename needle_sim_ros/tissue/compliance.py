@@ -80,7 +80,6 @@ class NodalCompliance:
         self._lacking = False
         self._blocks = np.zeros((0, 0))
         self._read = np.zeros((readers.shape[0], 0))
-        self._scratch = np.empty(0)
         self._d = d
         self._expected: dict[int, Future[Vector]] = {}
         self._worker: ThreadPoolExecutor | None = None
@@ -119,9 +118,10 @@ class NodalCompliance:
 
     def ensure(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Compute the responses of the tiles of `nodes` that are missing; return how many."""
-        tiles = np.unique(self._tile_of[nodes[self._slot[nodes] < 0]])
-        if len(tiles) == 0:
+        missing = self._slot[nodes] < 0
+        if not missing.any():
             return 0
+        tiles = np.unique(self._tile_of[nodes[missing]])
         rank = self._rank[self._tile_of[self._kept]].max(initial=-len(self._rank))
         self._lacking = self._lacking or bool((self._rank[tiles] < rank).any())
         for tile in tiles:
@@ -138,7 +138,10 @@ class NodalCompliance:
 
         What they are does not depend on when they are computed, nor where.
         """
-        for tile in np.unique(self._tile_of[nodes[self._slot[nodes] < 0]]):
+        missing = self._slot[nodes] < 0
+        if not missing.any():
+            return
+        for tile in np.unique(self._tile_of[nodes[missing]]):
             if int(tile) not in self._expected:
                 if self._worker is None:
                     self._worker = ThreadPoolExecutor(1, thread_name_prefix="tissue")
@@ -230,19 +233,16 @@ class NodalCompliance:
         self.ensure(footprint.nodes)
         self.ensure(at)
         self._complete(footprint.nodes, at)
-        d, slots = self._d, self._slot[footprint.nodes]
-        places, n, width = self._slot[at], d * len(self._kept), self._blocks.shape[1]
-        if self._scratch.size < len(slots) * width:
-            self._scratch = np.empty(2 * len(slots) * width)
-        # memory of its own: fresh pages of this size would cost more than the sums
-        rows = self._scratch[: len(slots) * width].reshape(len(slots), width)
+        d, rows, places = self._d, self._d * self._slot[footprint.nodes], self._slot[at]
         at_nodes = np.empty((d, len(at), d))
+        if len(at) == 0:
+            return at_nodes
+        low = int(places.min())
+        read, places = slice(d * low, d * (int(places.max()) + 1)), places - low
         for a in range(d):
-            np.take(self._blocks, d * slots + a, axis=0, out=rows, mode="clip")
-            used = rows[:, :n]
-            used *= footprint.weights[:, None]
-            # summed node by node: unlike a product it gives the same bits whatever n is
-            at_nodes[a] = np.add.reduce(used, axis=0).reshape(-1, d)[places]
+            # sums node by node: unlike a product it gives the same bits whatever is read
+            summed = np.einsum("k,kn->n", footprint.weights, self._blocks[rows + a, read])
+            at_nodes[a] = summed.reshape(-1, d)[places]
         return at_nodes
 
     def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:

@@ -8,6 +8,8 @@ already grown beyond it takes a copy first.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
@@ -40,6 +42,27 @@ class _Store:
         twin.read = _padded(self.read, (len(self.read), size))
         twin.modal = _padded(self.modal, (len(self.modal), size))
         return twin
+
+
+class ResponseRow(NamedTuple):
+    """A row that a table of n rows would get.
+
+    Attributes
+    ----------
+    nodes, weights, starts : ndarray
+        Footprints of all rows, the new one last.
+    static : ndarray, shape ((n + 1) d, d)
+        Displacement of all rows per force on the new one, m/N.
+    at_readers : ndarray, shape (r, d)
+    shape : ndarray, shape (modes, d)
+    """
+
+    nodes: Index
+    weights: Vector
+    starts: Index
+    static: Vector
+    at_readers: Vector
+    shape: Vector
 
 
 class ResponseTable:
@@ -94,30 +117,36 @@ class ResponseTable:
         """Shapes of the modes at the rows, (modes, n d)."""
         return self._store.modal[:, : self.compliance.dimension * self.count]
 
-    def appended(self, footprint: Footprint) -> ResponseTable:
-        """Return a table with one more row; the common rows are shared, not copied."""
-        row, d = self.count, self.compliance.dimension
-        twin = ResponseTable.__new__(ResponseTable)
-        twin.compliance, twin.modes, twin.count = self.compliance, self.modes, row + 1
-        twin._store = store = self._store.with_room(row)
-        twin.nodes = np.concatenate([self.nodes, footprint.nodes])
-        twin.weights = np.concatenate([self.weights, footprint.weights])
-        twin.starts = np.append(self.starts, len(self.nodes))
-        store.length = row + 1
-        own, wide = slice(d * row, d * row + d), d * (row + 1)
-        at_nodes, at_readers = self.compliance.response(footprint, twin.nodes)
+    def row(self, footprint: Footprint) -> ResponseRow:
+        """Return what another row would be."""
+        d, nodes = self.compliance.dimension, np.concatenate([self.nodes, footprint.nodes])
+        weights = np.concatenate([self.weights, footprint.weights])
+        starts = np.append(self.starts, len(self.nodes))
+        at_nodes, at_readers = self.compliance.response(footprint, nodes)
+        static = np.empty((d * len(starts), d))
         for a in range(d):
-            spread = at_nodes[a] * twin.weights[:, None]
-            column = np.add.reduceat(spread, twin.starts, axis=0).ravel()
-            store.static[:wide, d * row + a] = column
-            store.static[d * row + a, : d * row] = column[: d * row]
-        block = store.static[own, own]
-        store.static[own, own] = 0.5 * (block + block.T)
-        store.read[:, own] = at_readers
+            spread = at_nodes[a] * weights[:, None]
+            static[:, a] = np.add.reduceat(spread, starts, axis=0).ravel()
+        static[-d:] = 0.5 * (static[-d:] + static[-d:].T)
+        shape = np.zeros((0, d)) if self.modes is None else self.modes.at(footprint)
+        return ResponseRow(nodes, weights, starts, static, at_readers, shape)
+
+    def appended(self, row: ResponseRow) -> ResponseTable:
+        """Return a table with one more row; the common rows are shared, not copied."""
+        count, d = self.count, self.compliance.dimension
+        twin = ResponseTable.__new__(ResponseTable)
+        twin.compliance, twin.modes, twin.count = self.compliance, self.modes, count + 1
+        twin._store = store = self._store.with_room(count)
+        twin.nodes, twin.weights, twin.starts = row.nodes, row.weights, row.starts
+        store.length = count + 1
+        own, wide = slice(d * count, d * count + d), d * (count + 1)
+        store.static[:wide, own] = row.static
+        store.static[own, :wide] = row.static.T
+        store.read[:, own] = row.at_readers
         if self.modes is not None:
-            store.modal[:, own] = shape = self.modes.at(footprint)
-            amended = store.modal[:, :wide].T @ (self.modes.amendment[:, None] * shape)
-            amended += self.modes.residual_share * store.static[:wide, own]
+            store.modal[:, own] = row.shape
+            amended = store.modal[:, :wide].T @ (self.modes.amendment[:, None] * row.shape)
+            amended += self.modes.residual_share * row.static
             store.between[:wide, own] = amended
             store.between[own, :wide] = amended.T
         return twin

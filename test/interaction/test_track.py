@@ -40,7 +40,7 @@ def track(layer):
 
 
 def extended(layer, track, heading):
-    return layer.extend(layer.prepare(layer.aim(track, heading)))
+    return layer.extend(layer.ask(layer.spread(layer.aim(track, heading))))
 
 
 def turned(direction):

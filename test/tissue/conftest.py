@@ -38,7 +38,8 @@ class Loaded:
         self.table = ResponseTable(built.dynamics.compliance, built.dynamics.modes)
         step = np.array([0.0, -0.008])
         for place in (np.array([0.0, -0.008]), np.array([0.004, -0.03])):
-            self.table = self.table.appended(hat(place - step, place, place + step))
+            footprint = hat(place - step, place, place + step)
+            self.table = self.table.appended(self.table.row(footprint))
 
     def steps(self, forces, state=None):
         """Yield the state after each step; `forces` has one (2, 2) array a step."""

@@ -54,9 +54,12 @@ def direct(model, footprint, component):
 
 
 def filled(compliance, footprints):
-    table = ResponseTable(compliance)
+    return with_rows(ResponseTable(compliance), footprints)
+
+
+def with_rows(table, footprints):
     for footprint in footprints:
-        table = table.appended(footprint)
+        table = table.appended(table.row(footprint))
     return table
 
 
@@ -124,9 +127,9 @@ def test_tables_share_but_do_not_disturb_each_other(compliance, footprints):
     kept = compliance()
     trunk = filled(kept, footprints[:5])
     before = trunk.between().copy()
-    one = trunk.appended(footprints[5]).appended(footprints[6])
-    other = trunk.appended(footprints[9]).appended(footprints[10])
-    again = trunk.appended(footprints[5]).appended(footprints[6])
+    one = with_rows(trunk, footprints[5:7])
+    other = with_rows(trunk, footprints[9:11])
+    again = with_rows(trunk, footprints[5:7])
     np.testing.assert_array_equal(trunk.between(), before)
     np.testing.assert_array_equal(one.between(), again.between())
     expected = filled(kept, [*footprints[:5], footprints[9], footprints[10]])

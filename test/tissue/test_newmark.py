@@ -199,3 +199,28 @@ def test_all_ways_to_read_the_tissue_agree(loaded, kind):
     places = np.array([[0.01, -0.01], [-0.03, -0.05]])
     shown = model.sampling(places) @ everywhere.ravel()[model.free]
     np.testing.assert_allclose(read.ravel(), shown, atol=1e-10 * scale)
+
+
+def test_settling_halves_share_the_matrix_of_the_step():
+    """K + M / (dt/2)^2 + C / (dt/2), term by term, is Eq. (4)'s with delta = 0.5, xi = 0.25."""
+    rule = NewmarkRule(0.01, 0.5, 0.25, 0.3, 5e-3)
+    assert rule.settles
+    half = 0.5 * rule.step
+    assert rule.mass_factor == pytest.approx(1 / half**2 + rule.alpha / half, rel=1e-14)
+    assert rule.stiffness_factor == pytest.approx(1 + rule.beta / half, rel=1e-14)
+    assert not NewmarkRule(0.01, 0.6, 0.3025, 0.3, 5e-3).settles
+
+
+def test_a_settling_half_is_a_backward_euler_step():
+    """(u, v) of M u'' + C u' + K u = 0 with one unknown, solved as one 2 x 2 system."""
+    mass, stiffness, u, v = 2.0, 3.0e3, 0.7, -4.0
+    rule = NewmarkRule(0.01, 0.5, 0.25, 0.3, 5e-3).settling()
+    inertia, damping = rule.history(np.array([u]), np.array([v]), np.array([99.0]))
+    c = rule.alpha * mass + rule.beta * stiffness
+    load = mass * (inertia + rule.alpha * damping) + rule.beta * stiffness * damping
+    new = load / (rule.stiffness_factor * stiffness + rule.mass_factor * mass)
+    rate, acceleration = rule.rates(new, np.array([u]), np.array([v]), np.array([99.0]))
+    half = 0.5 * rule.step
+    expected = np.linalg.solve([[1.0, -half], [half * stiffness, mass + half * c]], [u, mass * v])
+    np.testing.assert_allclose([new[0], rate[0]], expected, rtol=1e-12)
+    np.testing.assert_allclose(acceleration, (expected[1] - v) / half, rtol=1e-12)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the track grows ahead of the cutting tip.
+
+A point is foreseen, aimed, weighed and laid in stages while the tip passes the segment
+before it, so that at usual speeds no tick bears the whole work.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needle_sim_ros.errors import CommandError
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.balance import Balance, BalanceSolution
+from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.track import Track, TrackLayer
+from needle_sim_ros.needle import tip
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.compliance import Footprint
+
+if TYPE_CHECKING:
+    from needle_sim_ros.interaction.contact import Step
+
+# how far the tip may end from where a step took it to be, in track spacings
+SETTLED = 0.02
+# parts of a segment that the tip has passed at each stage; the point is laid at the last.
+# That the path converges with the square of the spacing needs the aim at the middle.
+_FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.6, 0.7, 0.8, 0.9
+
+
+class TrackGrowth:
+    """Keeps the track ahead of the tip.
+
+    Parameters
+    ----------
+    scene : Scene
+    layer : TrackLayer
+    balance : Balance
+    """
+
+    def __init__(self, scene: Scene, layer: TrackLayer, balance: Balance) -> None:
+        self._needle, self._layer, self._balance = scene.needle, layer, balance
+        self._bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
+        self._half = np.array(scene.tissue.size) / 2
+
+    def opened(self, track: Track, step: Step, bent: BalanceSolution, forces: Vector) -> Track:
+        """Return a track of one point with the second one, where the broken surface leads."""
+        direction = self._cut(step, bent)
+        turning = self._layer.coupling.turning(track.points[0], direction, self._bevel)
+        heading = _pulled_back(step, track, direction, forces, turning)
+        return self._layer.extend(self._layer.aim(track, heading))
+
+    def grown(
+        self,
+        track: Track,
+        step: Step,
+        bent: ContactState | BalanceSolution,
+        forces: Vector,
+        depth: float,
+        going_in: bool,
+    ) -> Track:
+        """Return the track with whatever the tip at a depth calls for."""
+        layer = self._layer
+        while True:
+            passed = depth / track.spacing - (track.count - 2)
+            ahead = track.ahead
+            if ahead is None:
+                if passed < _FORESEEN:
+                    return track
+                track = layer.foresee(track, self._bevel)
+            elif ahead.point is None:
+                if passed < _AIMED:
+                    return track
+                direction = self._cut(step, bent)
+                heading = _pulled_back(step, track, direction, forces, ahead.turning)
+                aimed = layer.aim(track, heading)
+                assert aimed.ahead is not None and aimed.ahead.point is not None
+                if not self._in_tissue(aimed.ahead.point):
+                    beyond = (passed - 1.0) * track.spacing
+                    if beyond < 0 or (not going_in and beyond <= SETTLED * track.spacing):
+                        return track  # there is room up to the last point
+                    raise CommandError(
+                        f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m"
+                    )
+                track = aimed
+            elif ahead.footprint is None:
+                if passed < _SPREAD:
+                    return track
+                track = layer.spread(track)
+            elif not ahead.asked:
+                if passed < _ASKED:
+                    return track
+                track = layer.ask(track)
+            elif ahead.row is None:
+                if passed < _WEIGHED:
+                    return track
+                track = layer.weigh(track)
+            elif passed >= _LAID:
+                track = layer.extend(track)
+            else:
+                return track
+
+    def _cut(self, step: Step, bent: ContactState | BalanceSolution) -> Vector:
+        pose = step.after
+        slope = self._balance.slope(bent)
+        return tip.cutting_direction(self._needle, pose.axial, pose.lateral, slope)
+
+    def _in_tissue(self, point: Vector) -> bool:
+        deep = -2 * self._half[-1] <= point[-1] <= 0
+        return bool(deep and (np.abs(point[:-1]) <= self._half[:-1]).all())
+
+
+def _pulled_back(
+    step: Step, track: Track, direction: Vector, forces: Vector, turning: Footprint | None
+) -> Vector:
+    """Return the direction of the next piece of track, in the undeformed tissue.
+
+    The direction in space is pulled back by how the tissue ahead of the tip is turned,
+    over the bevel length: a length of the needle, not of the mesh.
+    """
+    if turning is None or not forces.any():
+        return direction
+    material = direction - step.sample(track.table, forces, turning)
+    return np.asarray(material / np.linalg.norm(material))

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a command does to the base, and what counts as a jump of its motion."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from needle_sim_ros import BaseCommand
+from needle_sim_ros.base_motion import AT_REST, commanded, jumps, part_way, static_steps
+
+PLACE = np.array([0.01, 0.0, 0.14])
+DOWN = np.array([1.0, 0.0, 0.0, 0.0])
+LENGTH = 0.13
+
+speed = st.floats(-1.0, 1.0)
+
+
+@given(st.tuples(speed, speed, speed))
+def test_a_velocity_is_held_for_the_tick(velocity):
+    motion = commanded(BaseCommand(velocity=velocity), PLACE, DOWN, 0.02)
+    np.testing.assert_allclose(motion.position, PLACE + 0.02 * np.array(velocity), atol=1e-17)
+    np.testing.assert_allclose(motion.rate[:3], velocity, atol=1e-14)
+    assert motion.orientation is DOWN and motion.rate[3:] == (0.0, 0.0, 0.0)
+
+
+def test_nothing_given_means_standing_still():
+    motion = commanded(BaseCommand(), PLACE, DOWN, 0.02)
+    assert motion.position is PLACE and motion.rate == AT_REST
+
+
+@given(st.floats(-1.0, 1.0), st.floats(0.0, 1.0))
+def test_part_way_of_a_turn_turns_in_proportion(rate, share):
+    """About y: the quaternion's half angle, the share of the whole."""
+    motion = commanded(BaseCommand(angular_velocity=(0.0, rate, 0.0)), PLACE, DOWN, 0.5)
+    here = part_way(motion, PLACE, DOWN, share)
+    angle = 0.5 * 0.5 * rate * share
+    expected = [math.cos(angle), 0.0, -math.sin(angle), 0.0]
+    np.testing.assert_allclose(here.orientation, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ((0, 0, -3e-3), (0, 0, -3e-3), False),
+        ((0, 0, -3e-3), (0, 0, -3.3e-3), False),  # a stage that is not quite even
+        ((0, 0, -3e-3), (0, 0, 0), True),
+        ((0, 0, -3e-3), (0, 0, 3e-3), True),
+        ((0, 0, 0), (1e-6, 0, 0), True),
+        ((0, 0, -3e-3), (1e-3, 0, -3e-3), True),
+    ],
+)
+def test_jumps_of_velocity(before, after, expected):
+    still = (0.0, 0.0, 0.0)
+    assert jumps((*after, *still), (*before, *still), LENGTH) is expected
+
+
+def test_a_turn_that_begins_is_a_jump():
+    assert jumps((0, 0, -3e-3, 0, 0.1, 0), (0, 0, -3e-3, 0, 0, 0), LENGTH)
+    assert not jumps((0, 0, -3e-3, 0, 1e-3, 0), (0, 0, -3e-3, 0, 0, 0), LENGTH)
+
+
+def test_a_changed_contact_is_a_jump():
+    assert jumps((0, 0, -3e-3, 0, 0, 0), None, LENGTH)
+
+
+@given(st.floats(1e-6, 0.1))
+def test_static_steps_are_short(advance):
+    motion = commanded(BaseCommand(velocity=(0, 0, -advance)), PLACE, DOWN, 1.0)
+    steps = static_steps(motion, PLACE, 1e-3)
+    assert advance / steps <= 0.5e-3 * (1 + 1e-6)
+    assert steps == 1 or advance / (steps - 1) > 0.5e-3 * (1 - 1e-6)
