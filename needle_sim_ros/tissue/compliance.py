@@ -22,6 +22,7 @@ from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 
 _ROOM = 256  # nodes off the plan
+_MOST_WHOLE = 500_000_000  # bytes of their responses
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,8 @@ class NodalCompliance:
         self._d = d
         self._expected: dict[int, Future[Vector]] = {}
         self._worker: ThreadPoolExecutor | None = None
+        self._whole: dict[int, Vector] = {}  # responses of tiles off the plan, everywhere
+        self._preparing = False
         self.waits = 0  # times that somebody had to wait for a solve
 
     @property
@@ -119,7 +122,9 @@ class NodalCompliance:
             self._invert(planned)
             count = len(planned)
         else:
+            self._preparing = True
             count = self.ensure(nodes, progress)
+            self._preparing = False
         self.waits = 0
         return count
 
@@ -193,9 +198,14 @@ class NodalCompliance:
     def expect(self, nodes: Index) -> None:
         """Start computing the responses that nodes will need, beside the ticks.
 
-        What they are does not depend on when they are computed, nor where.
+        What they are does not depend on when they are computed, nor where. What was
+        expected before and has not been begun is given up: the needle went elsewhere.
         """
-        for tile in np.unique(self._tile_of[nodes[self._slot[nodes] < 0]]):
+        tiles = np.unique(self._tile_of[nodes[self._slot[nodes] < 0]])
+        for tile in set(self._expected).difference(tiles.tolist()):
+            if self._expected[tile].cancel():
+                del self._expected[tile]
+        for tile in tiles:
             if int(tile) not in self._expected:
                 if self._worker is None:
                     self._worker = ThreadPoolExecutor(1, thread_name_prefix="tissue")
@@ -221,11 +231,7 @@ class NodalCompliance:
 
     def _solve(self, tile: int) -> None:
         """Compute the responses of a tile's nodes at the kept nodes of no higher rank."""
-        nodes = self._members(tile)
-        expected = self._expected.pop(tile, None)
-        if expected is None or not expected.done():
-            self.waits += 1
-        response = self._responses(tile) if expected is None else expected.result()
+        nodes, response = self._members(tile), self._response(tile)
         slots = np.flatnonzero(self._rank[self._tile_of[self._kept]] <= self._rank[tile])
         rows = self._unknowns(self._kept[slots])
         block = np.where(rows[:, None] >= 0, response[rows], 0.0)
@@ -237,6 +243,23 @@ class NodalCompliance:
         self._blocks[low:high, places] = block.T
         self._read[:, low:high] = self.reader_matrix @ response
         self._read_to[tile] = len(self._kept)
+
+    def _response(self, tile: int) -> Vector:
+        """Return the responses of a tile's nodes everywhere, (free, d k)."""
+        if tile in self._whole:
+            return self._whole[tile]
+        expected = self._expected.pop(tile, None)
+        if expected is None or not expected.done():
+            self.waits += 1
+            if expected is not None and expected.cancel():  # rather now than in its turn
+                expected = None
+        response = self._responses(tile) if expected is None else expected.result()
+        if not self._preparing:
+            # it is read again when tiles of lower rank come: without another solve
+            self._whole[tile] = response
+            while sum(one.nbytes for one in self._whole.values()) > _MOST_WHOLE:
+                del self._whole[next(iter(self._whole))]
+        return response
 
     def _complete(self, nodes: Index, others: Index) -> None:
         """Solve tiles again that are to be read at nodes kept after their solve."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ctypes
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -96,29 +97,22 @@ class Pardiso:
 
     def __init__(self, matrix: sp.csr_array, order: Index | None, last: Index) -> None:
         self._source, self._last = matrix, last
-        self._matrix: _Matrix | None = None
-        if len(last) == 0:
-            self._factorised()
+        self._matrix = _Matrix(matrix)
+        self._matrix.call(_FACTORISE)
+        weakref.finalize(self, self._matrix.call, _RELEASE)
 
     def solve(self, right: Vector) -> Vector:
         """Solve for one (n,) or many (n, k) right-hand sides."""
         columns = np.asfortranarray(right.reshape(len(right), -1), dtype=np.float64)
         answer = np.empty_like(columns)
-        self._factorised().call(_SOLVE, columns, answer)
+        self._matrix.call(_SOLVE, columns, answer)
         return answer.reshape(right.shape)
-
-    def _factorised(self) -> _Matrix:
-        if self._matrix is None:
-            matrix = _Matrix(self._source)
-            matrix.call(_FACTORISE)
-            self._matrix = matrix
-        return self._matrix
 
     def inverse(self) -> Vector:
         """Return the inverse between the last unknowns, (k, k).
 
         Of the Schur complement on them, for which Pardiso factorises apart: its factor
-        solves no more. What is needed off the plan is factorised when it is.
+        solves no more.
         """
         if len(self._last) == 0:
             return np.zeros((0, 0))
@@ -129,8 +123,3 @@ class Pardiso:
         matrix.call(_FACTORISE, None, complement, marked)
         matrix.call(_RELEASE)
         return inverse(np.asfortranarray(complement))
-
-    def __del__(self) -> None:
-        matrix: _Matrix | None = getattr(self, "_matrix", None)
-        if matrix is not None:
-            matrix.call(_RELEASE)

@@ -67,13 +67,13 @@ class SuperLU:
             of_unknown[self._order] = place
             place = of_unknown
         place = place[self._last] - (n - k)
-        if k == 0 or place.min() < 0 or (self._lu.perm_r != self._lu.perm_c).any():
+        pivots = self._lu.U.diagonal()
+        if (self._lu.perm_r != self._lu.perm_c).any() or (pivots <= 0).any():
+            raise SolverError("the tissue's matrix is not positive definite")
+        if k == 0 or place.min() < 0:
             return self._solved()
         lower = self._lu.L[n - k :, n - k :].toarray(order="F")
-        pivots = self._lu.U.diagonal()[n - k :]
-        if (pivots <= 0).any():
-            raise SolverError("the tissue's matrix is not positive definite")
-        lower *= np.sqrt(pivots)
+        lower *= np.sqrt(pivots[n - k :])
         return np.asarray(inverse_of_factor(lower)[np.ix_(place, place)])
 
     def _solved(self) -> Vector:
