@@ -180,7 +180,8 @@ class Solver:
 
     `time_step` is the tick of `needle_sim run` and, with Newmark, the step of the
     effective matrix. `modes` (Newmark only): 0 keeps every unknown; a number keeps that
-    many lowest modes dynamic and the rest by their massless response.
+    many lowest modes dynamic and the rest by their massless response. `factorization` is
+    the library that factorises the tissue's matrix; auto takes the fastest installed.
     """
 
     dynamics: Literal["quasi_static", "newmark"] = "quasi_static"
@@ -189,6 +190,7 @@ class Solver:
     newmark: Newmark = field(default_factory=Newmark)
     modes: int = quantity(0, ge=0, le=2000)
     tolerance: float = quantity(1e-10, gt=0, le=1e-4)
+    factorization: Literal["auto", "superlu", "pardiso"] = "auto"
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ class Simulator:
         self.statistics = Statistics()
         built = build_tissue(scene, progress)
         self._model, self._factor, self._dynamics = built.model, built.factor, built.dynamics
+        self.preparation = built.preparation
         empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
         self._empty = empty
         coupling = Coupling(self._model, scene.needle.radius)

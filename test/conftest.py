@@ -23,6 +23,14 @@ COARSE = {
 }
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_cache():
+    """Tests neither read nor fill the user's cache; those about it choose a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NEEDLE_SIM_CACHE", "off")
+        yield
+
+
 @pytest.fixture(scope="session")
 def coarse_scene():
     """Make gao2016 on a coarse mesh, with dotted keys changed."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from needle_sim_ros.base_motion import jumps
 from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.interaction.spreading import coverage
 from needle_sim_ros.interaction.state import ContactState
@@ -108,8 +109,8 @@ def _tissue(simulator: Simulator, motion: Any, contact: ContactState, field: Vec
     if isinstance(dynamics, ReducedNewmark):
         rule, modal = dynamics.rule, table.modal() @ contact.forces.ravel()
         values = dynamics.eigenvalues
-        damping = (rule.alpha + rule.beta * values) * motion.v
-        terms = [motion.a, damping, values * motion.u, -modal]
+        u, v, a = motion.modal
+        terms = [a, (rule.alpha + rule.beta * values) * v, values * u, -modal]
     else:
         free = model.free
         loads = table.spread(contact.forces).ravel()[free]
@@ -136,8 +137,8 @@ def _lateral(simulator: Simulator, state: Snapshot, sampled: Vector) -> float:
     bent = -(flexibility @ contact.lateral.T)
     # the bevel holds the tissue less and less towards the tip
     bevel = max(bevel_length(scene.needle), scene.needle.radius)
-    deep = scene.tissue.thickness if scene.dimension == 2 else 1.0
-    grip = scene.tissue.youngs_modulus * h * deep
+    width = scene.tissue.thickness / bevel if scene.dimension == 2 else 1.0
+    grip = scene.tissue.youngs_modulus * h * width
     behind = scene.needle.length - s
     soft = np.zeros(held)
     soft[1:] = np.maximum(bevel / behind[1:] - 1.0, 0.0) / grip
@@ -166,6 +167,10 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     turned = np.abs(state.orientation - before.orientation).max()
     if scene.solver.dynamics == "quasi_static" and (way > 0.49 * track.spacing or turned > 0.02):
         return excess  # the simulator divides such a tick
+    if scene.solver.dynamics == "newmark" and (
+        state.rate is None or jumps(state.rate, before.rate, scene.needle.length)
+    ):
+        return excess  # taken in halves
     law = scene.interaction.friction
     pose = state.pose
     advance = float(pose.axial @ (pose.origin - before.pose.origin))

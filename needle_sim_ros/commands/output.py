@@ -133,4 +133,6 @@ def prepared(scene: Scene) -> Simulator:
             bar.total = total
             bar.update(done - bar.n)
 
-        return Simulator(scene, advance)
+        simulator = Simulator(scene, advance)
+    print(f"tissue: {simulator.preparation}", file=sys.stderr)
+    return simulator

@@ -61,6 +61,8 @@ class Diagnostics:
             "overruns": str(report.overruns),
             "ticks": str(ticks),
             "failed_ticks": str(plant.failed_ticks),
+            "waits_for_solves": str(plant.waits),
+            "factorization": plant.factorization,
             "simulated_time_s": f"{plant.time:.6f}",
         }
         return self._status("clock loop", level, text, values)

@@ -104,6 +104,16 @@ class Plant:
         return self._history.ticks
 
     @property
+    def waits(self) -> int:
+        """Times that a tick waited for a solve of the tissue."""
+        return self._simulator.statistics.waits
+
+    @property
+    def factorization(self) -> str:
+        """The library that factorises the tissue's matrix, with its version."""
+        return str(self._simulator.preparation.library)
+
+    @property
     def stamp(self) -> int:
         """Simulated time, ns."""
         return nanoseconds(self.time)

@@ -8,13 +8,24 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from needle_sim_ros import __version__
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.libraries import choose
 
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "pypardiso", "numba", "mcap", "rclpy")
 
 
+def versions(scene: Scene | None = None) -> dict[str, str]:
+    """Return the versions that a bit-identical replay needs, by name.
+
+    With a scene also the library that factorises its tissue here.
+    """
+    if scene is None:
+        return dict(_versions())
+    return {**_versions(), "factorization": choose(scene.solver.factorization).name}
+
+
 @cache
-def versions() -> dict[str, str]:
-    """Return the versions that a bit-identical replay needs, by name."""
+def _versions() -> dict[str, str]:
     found = {"package_version": __version__, "python": platform.python_version()}
     for library in _LIBRARIES:
         try:

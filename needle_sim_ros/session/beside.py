@@ -58,7 +58,7 @@ def write_beside(
         for name, values in content.metadata.items():
             if name != "rosbag2":  # the new file has its own
                 bag.file.add_metadata(name, values)
-        about = {"scene": scene.name, "scene_sha256": sha256(text).hexdigest(), **versions()}
+        about = {"scene": scene.name, "scene_sha256": sha256(text).hexdigest(), **versions(scene)}
         bag.file.add_metadata("needle_sim_ros_replay", about)
         entries = _recorded(bag, content) + _simulated(bag, session, done)
         entries.sort(key=lambda entry: entry[2])

@@ -85,7 +85,7 @@ class SessionWriter:
             "start_tick": str(history.ticks if history else 0),
             "tissue_frame": tissue_frame,
             "base_frame": base_frame,
-            **versions(),
+            **versions(scene),
             **(settings or {}),
             **{f"topic.{channel.role}": name for channel, name in topics.items()},
         }

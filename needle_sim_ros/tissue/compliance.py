@@ -21,6 +21,9 @@ from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
 
+_ROOM = 256  # nodes off the plan
+_MOST_WHOLE = 500_000_000  # bytes of their responses
+
 
 @dataclass(frozen=True)
 class Footprint:
@@ -83,6 +86,8 @@ class NodalCompliance:
         self._d = d
         self._expected: dict[int, Future[Vector]] = {}
         self._worker: ThreadPoolExecutor | None = None
+        self._whole: dict[int, Vector] = {}  # responses of tiles off the plan, everywhere
+        self._preparing = False
         self.waits = 0  # times that somebody had to wait for a solve
 
     @property
@@ -111,10 +116,67 @@ class NodalCompliance:
         Their ranks become the lowest: the solve of a tile off the plan then reads all of
         them, and none has to be solved again for it.
         """
-        self._rank[np.unique(self._tile_of[nodes])] -= len(self._rank)
-        count = self.ensure(nodes, progress)
+        planned = self._plan(nodes)
+        if self._factor.inverts:
+            self._invert(planned)
+            count = len(planned)
+        else:
+            self._preparing = True
+            count = self.ensure(nodes, progress)
+            self._preparing = False
         self.waits = 0
         return count
+
+    def _plan(self, nodes: Index) -> Index:
+        planned = np.unique(self._tile_of[nodes])
+        self._rank[planned] -= len(self._rank)
+        return planned
+
+    def _invert(self, planned: Index) -> None:
+        """Read the responses of tiles off the inverse between them and the readers."""
+        self._take(planned)
+        unknowns = self._unknowns(self._kept)
+        held = np.flatnonzero(unknowns >= 0)
+        last = np.union1d(unknowns[held], self.reader_matrix.indices)
+        self._factor.put_last(last)
+        block = self._factor.inverse()
+        where = np.searchsorted(last, unknowns[held])
+        self._blocks[np.ix_(held, held)] = block[np.ix_(where, where)]
+        self._read[:, held] = self.reader_matrix[:, last] @ block[:, where]
+        self._read_to[planned] = len(self._kept)
+
+    def _take(self, planned: Index) -> None:
+        for tile in planned:
+            self._keep(int(tile))
+        # with room for what leaves the plan: to move these numbers takes a tick's time
+        self._reserve(self._d * (len(self._kept) + _ROOM))
+
+    def tiles(self, nodes: Index) -> Index:
+        """Return all nodes of the tiles that hold some, tile by tile."""
+        members = [self._members(int(tile)) for tile in np.unique(self._tile_of[nodes])]
+        return np.concatenate([np.empty(0, dtype=np.intp), *members])
+
+    def prepared(self) -> tuple[Vector, Vector]:
+        """Return what :meth:`prepare` computed, for :meth:`adopt` of an equal object."""
+        size = self._d * len(self._kept)
+        return self._blocks[:size, :size], self._read[:, :size]
+
+    def adopt(self, nodes: Index, blocks: Vector, read: Vector) -> bool:
+        """Take over what :meth:`prepare` computed for the same nodes; False if it does not fit.
+
+        Nothing is changed where it does not fit, and nothing is factorised.
+        """
+        size = self._d * len(self.tiles(nodes))
+        if blocks.shape != (size, size) or read.shape != (self.readers, size):
+            return False
+        planned = self._plan(nodes)
+        self._take(planned)
+        self._blocks[:size, :size], self._read[:, :size] = blocks, read
+        self._read_to[planned] = len(self._kept)
+        if self._factor.inverts:
+            unknowns = self._unknowns(self._kept)
+            self._factor.put_last(np.union1d(unknowns[unknowns >= 0], self.reader_matrix.indices))
+        return True
 
     def ensure(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Compute the responses of the tiles of `nodes` that are missing; return how many."""
@@ -136,12 +198,17 @@ class NodalCompliance:
     def expect(self, nodes: Index) -> None:
         """Start computing the responses that nodes will need, beside the ticks.
 
-        What they are does not depend on when they are computed, nor where.
+        What they are does not depend on when they are computed, nor where. What was
+        expected before and has not been begun is given up: the needle went elsewhere.
         """
         missing = self._slot[nodes] < 0
-        if not missing.any():
+        if not missing.any() and not self._expected:
             return
-        for tile in np.unique(self._tile_of[nodes[missing]]):
+        tiles = np.unique(self._tile_of[nodes[missing]])
+        for tile in set(self._expected).difference(tiles.tolist()):
+            if self._expected[tile].cancel():
+                del self._expected[tile]
+        for tile in tiles:
             if int(tile) not in self._expected:
                 if self._worker is None:
                     self._worker = ThreadPoolExecutor(1, thread_name_prefix="tissue")
@@ -149,9 +216,9 @@ class NodalCompliance:
 
     def _responses(self, tile: int) -> Vector:
         """Solve for unit forces on a tile's nodes; touches nothing that a tick changes."""
-        d, model, nodes = self._d, self._model, self._members(tile)
-        places = model.position_of[(d * nodes[:, None] + np.arange(d)).ravel()]
-        unit = np.zeros((len(model.free), d * len(nodes)), order="F")
+        nodes = self._members(tile)
+        places = self._unknowns(nodes)
+        unit = np.zeros((len(self._model.free), self._d * len(nodes)), order="F")
         loaded = np.flatnonzero(places >= 0)
         unit[places[loaded], loaded] = 1.0
         return self._factor.solve(unit)
@@ -167,13 +234,9 @@ class NodalCompliance:
 
     def _solve(self, tile: int) -> None:
         """Compute the responses of a tile's nodes at the kept nodes of no higher rank."""
-        d, model, nodes = self._d, self._model, self._members(tile)
-        expected = self._expected.pop(tile, None)
-        if expected is None or not expected.done():
-            self.waits += 1
-        response = self._responses(tile) if expected is None else expected.result()
+        nodes, response = self._members(tile), self._response(tile)
         slots = np.flatnonzero(self._rank[self._tile_of[self._kept]] <= self._rank[tile])
-        rows = model.position_of[(d * self._kept[slots][:, None] + np.arange(d)).ravel()]
+        rows = self._unknowns(self._kept[slots])
         block = np.where(rows[:, None] >= 0, response[rows], 0.0)
         places, own = self._places(self._kept[slots]), self._places(nodes)
         low, high = int(own[0]), int(own[-1]) + 1
@@ -183,6 +246,23 @@ class NodalCompliance:
         self._blocks[low:high, places] = block.T
         self._read[:, low:high] = self.reader_matrix @ response
         self._read_to[tile] = len(self._kept)
+
+    def _response(self, tile: int) -> Vector:
+        """Return the responses of a tile's nodes everywhere, (free, d k)."""
+        if tile in self._whole:
+            return self._whole[tile]
+        expected = self._expected.pop(tile, None)
+        if expected is None or not expected.done():
+            self.waits += 1
+            if expected is not None and expected.cancel():  # rather now than in its turn
+                expected = None
+        response = self._responses(tile) if expected is None else expected.result()
+        if not self._preparing:
+            # it is read again when tiles of lower rank come: without another solve
+            self._whole[tile] = response
+            while sum(one.nbytes for one in self._whole.values()) > _MOST_WHOLE:
+                del self._whole[next(iter(self._whole))]
+        return response
 
     def _complete(self, nodes: Index, others: Index) -> None:
         """Solve tiles again that are to be read at nodes kept after their solve."""
@@ -257,6 +337,11 @@ class NodalCompliance:
         footprint : Footprint
         """
         return np.einsum("akb,kb->a", self._at_nodes(footprint, loaded), loads)
+
+    def _unknowns(self, nodes: Index) -> Index:
+        """Return the places of the components of nodes among the free unknowns, -1 if held."""
+        wide = self._d * nodes[:, None] + np.arange(self._d)
+        return np.asarray(self._model.position_of[wide.ravel()])
 
     def _places(self, nodes: Index) -> Index:
         return np.asarray((self._d * self._slot[nodes][:, None] + np.arange(self._d)).ravel())

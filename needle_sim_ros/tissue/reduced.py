@@ -96,11 +96,11 @@ class ReducedNewmark:
         factor: Factor,
         compliance: NodalCompliance,
         rule: NewmarkRule,
-        count: int,
+        modes: tuple[Vector, Vector],
     ) -> None:
         self._model, self._factor, self.compliance = model, factor, compliance
         self.rule = rule
-        self.eigenvalues, shapes = lowest_modes(model, factor, count)
+        self.eigenvalues, shapes = modes  # of lowest_modes
         self._damping = rule.alpha + rule.beta * self.eigenvalues
         stiff = rule.delta / (rule.xi * rule.step)
         self._dynamic = 1.0 / (
