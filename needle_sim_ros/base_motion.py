@@ -26,6 +26,8 @@ _STEEPEST = math.cos(math.radians(80))
 _TURN = 0.05
 # change of velocity, in proportion to the larger one, from which it counts as a jump
 _JUMP = 0.2
+# path in a step, in weakening distances, where points begin to slide; most steps for it
+_FINE, MOST_UNSTEADY = 0.02, 4
 _NO_TURN = np.zeros(3)
 
 
@@ -112,6 +114,28 @@ def static_steps(motion: BaseMotion, position: Vector, spacing: float) -> int:
     advance = math.dist(motion.position, position)
     angle = 0.0 if motion.turning is _NO_TURN else math.hypot(*motion.turning)
     return max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / _TURN))
+
+
+def unsteady_steps(
+    motion: BaseMotion, dt: float, length: float, weakening: float, least: int
+) -> int:
+    """Return into how many steps a quasi-static tick falls in which points begin to slide.
+
+    Where each of them does is known to a step only, and what follows depends on it.
+
+    Parameters
+    ----------
+    motion : BaseMotion
+    dt : float
+        s.
+    length, weakening : float
+        Of the needle, and over which friction falls to kinetic, m.
+    least : int
+        Steps that it falls into anyway.
+    """
+    fastest = max(abs(rate) for rate in motion.rate[:3])
+    fastest = max(fastest, length * max(abs(rate) for rate in motion.rate[3:]))
+    return max(least, min(MOST_UNSTEADY, math.ceil(fastest * dt / (_FINE * weakening))))
 
 
 def check(

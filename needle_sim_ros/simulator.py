@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike
 
 from needle_sim_ros.base_motion import (
     AT_REST,
+    MOST_UNSTEADY,
     BaseMotion,
     check,
     commanded,
     jumps,
     part_way,
     static_steps,
+    unsteady_steps,
 )
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import CommandError, SolverError
@@ -229,7 +231,14 @@ class Simulator:
             return round(dt / self._own_step), jump
         if not touching and motion.rate[2] > 0:
             return 1, False
-        return static_steps(motion, state.position, self.scene.solver.track_spacing), False
+        steps = static_steps(motion, state.position, self.scene.solver.track_spacing)
+        if state.contact.inserted and steps < MOST_UNSTEADY:
+            length = self.scene.needle.length
+            stuck = not state.contact.status[:-1].all()
+            if stuck or jumps(motion.rate, state.rate, length):
+                weakening = self.scene.interaction.friction.weakening_distance
+                return unsteady_steps(motion, dt, length, weakening, steps), False
+        return steps, False
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from needle_sim_ros.benchmark.equilibrium import residuals
-from needle_sim_ros.benchmark.stability_cells import Cell, Move
+from needle_sim_ros.benchmark.stability_cells import Cell
+from needle_sim_ros.benchmark.stability_motions import Move
 from needle_sim_ros.errors import CommandError, SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.observation import Observation
@@ -256,18 +257,22 @@ def _judge_hold(cell: Cell, scene: Scene, result: CellResult) -> None:
 def _change(one: Trace, other: Trace, dynamics: str) -> float:
     """Return the largest difference of friction, relative to its largest value.
 
-    Quasi-static runs are compared tick by tick. With inertia and damping a jump of the base's
-    velocity sends a wave that a coarse step cannot show: there the ends of the moves count.
+    A value counts as far as it is outside what the other run shows a tick earlier, now and a
+    tick later: when within a tick the surface breaks, the tip snaps on or the needle starts to
+    slide is known to a tick only. With inertia and damping a jump of the base's velocity
+    sends a wave that a coarse step cannot show: there the ends of the moves count.
     """
     count = min(len(one.friction), len(other.friction))
     if count == 0:
         return 0.0
     a, b = np.array(one.friction[:count]), np.array(other.friction[:count])
     largest = float(np.abs(a).max())
+    padded = np.concatenate([b[:1], b, b[-1:]])
+    near = np.stack([padded[:-2], b, padded[2:]])
+    off = np.maximum(np.maximum(a - near.max(axis=0), near.min(axis=0) - a), 0.0)
     if dynamics != "quasi_static":
-        ends = [end for end in one.ends if end < count]
-        a, b = a[ends], b[ends]
-    return 0.0 if largest == 0 else float(np.abs(a - b).max(initial=0.0)) / largest
+        off = off[[end for end in one.ends if end < count]]
+    return 0.0 if largest == 0 else float(off.max(initial=0.0)) / largest
 
 
 def _answer_change(one: Trace, other: Trace) -> float:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction import friction
 from needle_sim_ros.interaction.contact_solve import solve_contact
-from needle_sim_ros.interaction.friction import FrictionStart
+from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
@@ -59,6 +59,8 @@ class BalanceSolution(NamedTuple):
     share: Vector
     strain: Vector
     slip: Vector
+    slid: Vector
+    advance: float
     moved: Vector
     forces: Vector
     status: NDArray[np.int8]
@@ -133,6 +135,8 @@ class Balance:
             share=np.ones(1),
             strain=np.zeros(1),
             slip=np.zeros(1),
+            slid=np.zeros(1),
+            advance=0.0,
             moved=free + track.table.displacement(forces),
             forces=forces,
             status=np.zeros(0, dtype=np.int8),
@@ -146,8 +150,7 @@ class Balance:
         track: Track,
         step: Step,
         moved: Vector,
-        strain: Vector,
-        slip: Vector,
+        memory: FrictionMemory,
         status: NDArray[np.int8],
         depth: float,
         limit: TipLimit,
@@ -160,7 +163,8 @@ class Balance:
         step : Step
         moved : ndarray, shape (n, d)
             Displacement of the track points before the step.
-        strain, slip : ndarray, shape (previously active,)
+        memory : FrictionMemory
+            Of the step before.
         status : ndarray of int8
             Guess of the bounds that hold: friction of each point, and last the tip.
         depth : float
@@ -176,7 +180,7 @@ class Balance:
         length = coverage(depth, n, h)
         share = tip_share(length, depth, limit.spread, h)
         bounds = friction.guess(status, n)
-        start = FrictionStart.of(track, slip, strain, bounds, step.advance)
+        start = FrictionStart.of(track, memory, bounds, step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
         short = pose.origin - track.at(depth) - share @ free[:n]
         presliding = np.maximum(length, LEAST * h)
@@ -218,6 +222,8 @@ class Balance:
             share=share,
             strain=found.strain,
             slip=slipped,
+            slid=found.slid,
+            advance=step.advance,
             moved=after,
             forces=forces,
             status=found.status,

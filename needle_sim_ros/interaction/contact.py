@@ -16,7 +16,7 @@ import numpy as np
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.balance import Balance, TipLimit
-from needle_sim_ros.interaction.friction import STILL
+from needle_sim_ros.interaction.friction import STILL, FrictionMemory
 from needle_sim_ros.interaction.growth import SETTLED, TrackGrowth
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
@@ -29,6 +29,8 @@ from needle_sim_ros.tissue.response import ResponseTable
 
 # of the cutting rate of the last step, how much of it the next one is taken to cut beforehand
 _FORESIGHT = 0.98
+# ... and of the advance: what the tip bears must not hang on the step
+_CLOSE = 0.05
 _MOST_ROUNDS = 400
 # how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
 # way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
@@ -205,9 +207,11 @@ class Contact:
         elif not engaged:
             depth = min(max(depth + rate * advance, 0.0), front)
         track, moved, forces = state.track, state.moved, state.forces
-        strain, slip = state.strain, state.slip
+        memory = FrictionMemory(state.slip, state.strain, state.slid, state.advance)
         reached, missed = state.front, math.inf  # how far the tip cuts at least, and does not
-        finest = min(track.spacing, advance) if heading > 0 else track.spacing
+        nearly = SETTLED * track.spacing
+        if heading:
+            nearly = min(nearly, _CLOSE * abs(advance))
         solves = 0
         solution = None
         for _ in range(_MOST_ROUNDS):
@@ -216,13 +220,13 @@ class Contact:
             moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
             solution = self._balance.inserted(
-                track, step, moved, strain, slip, state.status, depth, limit
+                track, step, moved, memory, state.status, depth, limit
             )
             solves += solution.solves
             forces = solution.forces
             change = solution.overlap / float(step.after.axial @ track.direction(depth))
             if engaged:
-                settled = abs(change) <= SETTLED * track.spacing
+                settled = abs(change) <= nearly
                 if change > 0:
                     reached = front
                     front += min(change, track.spacing)
@@ -230,14 +234,14 @@ class Contact:
                     depth = front
                 elif front > state.front and solution.status[-1] <= 0:
                     # foreseen too far: a tip that bears less than its limit has not cut
-                    settled = front - reached <= SETTLED * finest
+                    settled = front - reached <= nearly
                     if not settled:
                         back = reached if missed == math.inf else 0.5 * (reached + front)
                         missed, depth, front = front, back, back
                 elif change < 0:
                     depth, engaged = front + max(change, -track.spacing), False
             else:
-                settled = abs(change) <= SETTLED * track.spacing and depth + change < front
+                settled = abs(change) <= nearly and depth + change < front
                 depth += min(max(change, -track.spacing), track.spacing)
                 if depth >= front:
                     depth, engaged = front, True

@@ -19,6 +19,23 @@ from needle_sim_ros.interaction.track import Track
 STILL = 1e-12
 
 
+class FrictionMemory(NamedTuple):
+    """What friction remembers of a step; members as in ContactState.
+
+    Attributes
+    ----------
+    slip, strain, slid : ndarray, shape (active,)
+        Slip since the point last stuck, elastic presliding, slip in the step, m.
+    advance : float
+        Of the needle in the step, m.
+    """
+
+    slip: Vector
+    strain: Vector
+    slid: Vector
+    advance: float
+
+
 class FrictionStart(NamedTuple):
     """What the points along the needle bring into a step.
 
@@ -34,6 +51,8 @@ class FrictionStart(NamedTuple):
         Bounds that hold, as guessed.
     advance : float
         Of the needle in the step, m.
+    onward : ndarray, shape (n,)
+        Slip to be expected in the step where a point goes on sliding, m.
     sliding : int
         1 or -1 where all points are guessed to go on sliding as they do, else 0.
     """
@@ -44,41 +63,49 @@ class FrictionStart(NamedTuple):
     strain: Vector
     status: NDArray[np.int8]
     advance: float
+    onward: Vector
     sliding: int
 
     @classmethod
     def of(
-        cls, track: Track, slip: Vector, strain: Vector, status: NDArray[np.int8], advance: float
+        cls,
+        track: Track,
+        memory: FrictionMemory,
+        status: NDArray[np.int8],
+        advance: float,
     ) -> FrictionStart:
         """Fit what was before to a step; `status` has one entry more, the tip's."""
         n = len(status) - 1
-        slip, strain = _fitted(slip, n), _fitted(strain, n)
+        slip, strain, slid = (_fitted(values, n) for values in memory[:3])
+        before = memory.advance
+        onward = np.abs(slid)
+        onward *= advance / before if advance * before > 0 else 0.0
         total = int(status.sum())
         sliding = (total > 0) - (total < 0)
         if abs(total) <= n or advance * sliding <= 0 or float((sliding * strain).min()) <= 0:
             sliding = 0
         static, kinetic = track.static[:n], track.kinetic[:n]
-        return cls(static, kinetic, slip, strain, status[:-1], advance, sliding)
+        return cls(static, kinetic, slip, strain, status[:-1], advance, onward, sliding)
 
 
 def limits(laws: Laws, start: FrictionStart) -> tuple[Vector, Vector]:
     """Return the friction limits of a step per length, back and forth, N/m, shapes (n,).
 
-    What slides goes on sliding by the advance of the needle; what turns round has to
+    What slides goes on sliding as fast against the needle as it did; what turns round has to
     stick first, so that in the other direction the static limit stands.
     """
-    _, _, slip, strain, status, advance, _ = start
-    onward = np.where(status * advance > 0, abs(advance), 0.0)
-    along = laws.friction(start.static, start.kinetic, slip + onward)
-    return np.where(strain > 0, start.static, along), np.where(strain < 0, start.static, along)
+    going_on = start.status * start.advance > 0
+    slip = start.slip + np.where(going_on, start.onward, 0.0)
+    along = laws.friction(start.static, start.kinetic, slip)
+    back, forth = start.strain > 0, start.strain < 0
+    return np.where(back, start.static, along), np.where(forth, start.static, along)
 
 
 def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
     """Return the limits of points that all go on sliding as they do, N/m, shape (n,)."""
-    onward = abs(start.advance)
-    if float(start.slip.min()) + onward >= laws.interaction.friction.weakening_distance:
+    if float(start.slip.min()) >= laws.interaction.friction.weakening_distance:
         return start.kinetic
-    return laws.friction(start.static, start.kinetic, start.slip + onward)
+    return laws.friction(start.static, start.kinetic, start.slip + start.onward)
 
 
 def slip_after(

@@ -50,6 +50,10 @@ class ContactState(NamedTuple):
         Elastic presliding, m.
     slip : ndarray, shape (active,)
         Slip since the point last stuck, m.
+    slid : ndarray, shape (active,)
+        Slip in the step, m.
+    advance : float
+        Of the base along the needle in the step, m.
     moved : ndarray, shape (n, d)
         Displacement of every track point, m.
     forces : ndarray, shape (n, d)
@@ -77,6 +81,8 @@ class ContactState(NamedTuple):
     share: Vector = _NONE
     strain: Vector = _NONE
     slip: Vector = _NONE
+    slid: Vector = _NONE
+    advance: float = 0.0
     moved: Vector = np.empty((0, 2))
     forces: Vector = np.empty((0, 2))
     status: NDArray[np.int8] = np.empty(0, dtype=np.int8)
