@@ -99,6 +99,7 @@ def draw_section(ax: Axes, section: Section) -> None:
     # beside an organ there is no tissue: nothing is drawn there
     size = np.ma.masked_invalid(MM * np.linalg.norm(section.displacement, axis=2))
     placed = MM * (section.grid + np.nan_to_num(section.displacement))
+    outside = np.isnan(section.displacement)
     mesh = ax.pcolormesh(
         placed[..., 0],
         placed[..., 2],
@@ -108,7 +109,7 @@ def draw_section(ax: Axes, section: Section) -> None:
         vmin=0.0,
         rasterized=True,
     )
-    _draw_grid_lines(ax, section.grid, np.where(size.mask[..., None], np.nan, placed))
+    _draw_grid_lines(ax, section.grid, np.where(outside, np.nan, placed))
     if len(section.markers):
         x, z = MM * section.markers[:, [0, 2]].T
         dot: dict[str, Any] = {"markersize": 3.5, "markerfacecolor": "white"}
