@@ -25,7 +25,9 @@ _KEY = "tissue.mesh.file"
 _TAGS = ("gmsh:physical", "medit:ref", "cell_tags", "region", "material")
 
 
-@lru_cache(maxsize=4)
+_latest: list[tuple[Scene, Tetrahedra]] = []
+
+
 def read_tetrahedra(scene: Scene) -> Tetrahedra:
     """Read the tissue of a scene from its file.
 
@@ -34,6 +36,9 @@ def read_tetrahedra(scene: Scene) -> Tetrahedra:
     SceneError
         Where file and scene do not fit, saying what and where.
     """
+    for known, found in _latest:  # asked for in every tick: to compare scenes would take long
+        if known is scene:
+            return found
     assert scene.tissue.mesh.file is not None
     path = find_mesh(scene.tissue.mesh.file)
     entry = planned_path(scene).entry
@@ -42,6 +47,7 @@ def read_tetrahedra(scene: Scene) -> Tetrahedra:
     _check_extent(scene, found)
     _check_regions(scene, found)
     _check_spacing(scene, found)
+    _latest[:] = [(scene, found), *_latest[:3]]
     return found
 
 

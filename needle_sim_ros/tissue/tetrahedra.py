@@ -62,16 +62,18 @@ class Tetrahedra:
         corner, inverse = self._maps
         local = np.einsum("nij,nj->ni", inverse[cells], points[owner] - corner[cells])
         depth = np.minimum(local.min(axis=1), 1.0 - local.sum(axis=1))
-        found: Index = np.asarray(self._nearest.query(points)[1], dtype=np.intp)
         best = np.full(len(points), -np.inf)
         np.maximum.at(best, owner, depth)
-        deepest = np.flatnonzero(depth == best[owner])[::-1]
-        hit = deepest[depth[deepest] >= -_SLACK]
+        found = np.zeros(len(points), dtype=np.intp)
+        hit = np.flatnonzero(depth == best[owner])[::-1]
         found[owner[hit]] = cells[hit]  # of equals the first
+        inside = best >= -_SLACK
+        if not inside.all():
+            found[~inside] = self._nearest.query(points[~inside])[1]
         place = np.einsum("nij,nj->ni", inverse[found], points - corner[found])
         place = np.clip(place, 0.0, 1.0)
         place /= np.maximum(place.sum(axis=1, keepdims=True), 1.0)
-        return found, place.T, best >= -_SLACK
+        return found, place.T, inside
 
     def tagged(self, name: str, points: Vector) -> NDArray[np.bool_]:
         """Tell which points, shape (3, ...), lie in cells of a named region."""
