@@ -33,6 +33,8 @@ setup(
         "numpy>=1.26",
         "scipy>=1.11",
         "scikit-fem>=12.0",
+        # Tissue from a mesh file, in whatever format; its own reader would be a project.
+        "meshio>=5.3",
         "PyYAML>=6.0",
         "tqdm>=4.66",
         "matplotlib>=3.6",
@@ -57,7 +59,7 @@ setup(
             "types-PyYAML==6.0.12.20261113",
             'scipy-stubs==1.17.1.5; python_version >= "3.11"',
         ],
-        # Faster sparse Cholesky for large meshes.
+        # Faster sparse Cholesky for large meshes: Intel's MKL, 200 MB, x86_64 only.
         "fast": ["pypardiso>=0.4.6"],
     },
     data_files=[

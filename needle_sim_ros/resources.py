@@ -58,6 +58,27 @@ def scene_names() -> list[str]:
     return []
 
 
+def find_mesh(source: str) -> Path:
+    """Return a mesh file given by path, or by its name among those of the package.
+
+    Raises
+    ------
+    SceneError
+        When there is no such file.
+    """
+    path = Path(source).expanduser()
+    if path.is_file():
+        return path
+    names: list[str] = []
+    for root in roots():
+        folder = root / "config" / "meshes"
+        if (folder / source).is_file():
+            return folder / source
+        names += sorted(p.name for p in folder.glob("*.msh")) if folder.is_dir() else []
+    known = ", ".join(dict.fromkeys(names)) or "none"
+    raise SceneError("tissue.mesh.file", source, f"no such file, nor one of this package ({known})")
+
+
 def find_scene(source: str | Path) -> Path:
     """Return the file of a scene given by path or by bare name.
 

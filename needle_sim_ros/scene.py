@@ -40,6 +40,13 @@ class Mesh:
     """Tissue mesh, graded to the needle's planned path; null means chosen from the needle.
 
     `element` null is quad2 in 2D and quad1 in 3D, where they are hexahedra.
+
+    `file` (3D only) takes tetrahedra from a file that meshio reads, as quadratic ones (tri2);
+    the keys of the graded mesh mean nothing then. Its coordinates times `scale` are metres;
+    `offset` moves them into the tissue frame, null moves them up or down so that the
+    surface is at z = 0 where the needle enters. `fixed` names faces (physical groups, cell
+    sets, tags), `fixed_boxes` holds the faces that lie within x from, to, y from, to, z
+    from, to, of the tissue frame.
     """
 
     element: Literal["quad2", "quad1", "tri2", "tri1"] | None = None
@@ -49,6 +56,11 @@ class Mesh:
     largest: float | None = quantity(None, unit="m", gt=0)
     band: float | None = quantity(None, unit="m", gt=0)
     uniform: bool = False
+    file: str | None = None
+    scale: float = quantity(1.0, unit="m", gt=0)
+    offset: tuple[float, ...] | None = quantity(None, unit="m", length=(3,))
+    fixed: tuple[str, ...] = ()
+    fixed_boxes: tuple[tuple[float, ...], ...] = quantity((), unit="m")
 
 
 @dataclass(frozen=True)
@@ -57,11 +69,12 @@ class Region:
 
     `half_space` is everything below `center` against the direction `axis`; `box` and
     `ellipsoid` have edge lengths and axes `size`; `cylinder` has the axis `axis`, and
-    `size` is diameter, diameter, length. null keeps the property of the tissue.
+    `size` is diameter, diameter, length; `tag` is the cells of a mesh file that are named,
+    or numbered, as `name` is. null keeps the property of the tissue.
     """
 
     name: str
-    shape: Literal["box", "ellipsoid", "cylinder", "half_space"]
+    shape: Literal["box", "ellipsoid", "cylinder", "half_space", "tag"]
     center: tuple[float, ...] = quantity((0.0, 0.0, 0.0), unit="m", length=(3,))
     size: tuple[float, ...] = quantity((1.0, 1.0, 1.0), unit="m", gt=0, length=(3,))
     axis: tuple[float, ...] = quantity((0.0, 0.0, 1.0), length=(3,))
@@ -78,7 +91,8 @@ class Region:
 class Tissue:
     """Linear-elastic block, u = 0 on the fixed faces, on `rollers` only normal to the face.
 
-    `size` is width x, depth z in 2D and x, y, z in 3D; `thickness` is out of plane (2D).
+    `size` is width x, depth z in 2D and x, y, z in 3D, of the box that holds it where the
+    mesh is from a file; `thickness` is out of plane (2D).
     """
 
     size: tuple[float, ...] = quantity(unit="m", gt=0, length=(2, 3))
@@ -243,9 +257,14 @@ class Scene:
                 ("front", "back") if self.dimension == 3 else ()
             )
             free = tuple(face for face in sides if face not in self.tissue.rollers)
+            if self.tissue.mesh.file is not None:
+                free = ()
             object.__setattr__(self, "tissue", replace(self.tissue, fixed=free))
         if self.tissue.mesh.element is None:
-            element: Literal["quad2", "quad1"] = "quad2" if self.dimension == 2 else "quad1"
+            element: Literal["quad2", "quad1", "tri2"]
+            element = "quad2" if self.dimension == 2 else "quad1"
+            if self.tissue.mesh.file is not None:
+                element = "tri2"
             mesh = replace(self.tissue.mesh, element=element)
             object.__setattr__(self, "tissue", replace(self.tissue, mesh=mesh))
         if self.interaction.puncture.force is None:
@@ -272,17 +291,26 @@ class Scene:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise SceneError("scene", str(path), f"cannot be read: {error}") from None
-        return cls.from_yaml(text, overrides)
+        return cls.from_yaml(text, overrides, folder=path.parent)
 
     @classmethod
-    def from_yaml(cls, text: str, overrides: Mapping[str, object] | None = None) -> Scene:
-        """Build a scene from YAML text."""
+    def from_yaml(
+        cls,
+        text: str,
+        overrides: Mapping[str, object] | None = None,
+        folder: Path | None = None,
+    ) -> Scene:
+        """Build a scene from YAML text; a mesh file may be named relative to a folder."""
         try:
             data = yaml.safe_load(text)
         except (yaml.YAMLError, RecursionError) as error:
             words = " ".join(str(error).split())
             raise SceneError("scene", text[:40], f"not valid YAML: {words}") from None
-        return cls.from_dict(data, overrides)
+        scene = cls.from_dict(data, overrides)
+        file = scene.tissue.mesh.file
+        if folder is None or file is None or not (folder / file).is_file():
+            return scene
+        return scene.with_changes({"tissue.mesh.file": str((folder / file).resolve())})
 
     @classmethod
     def from_dict(cls, data: object, overrides: Mapping[str, object] | None = None) -> Scene:

@@ -56,7 +56,9 @@ def _tissue(scene: Scene) -> None:
             "tissue.size", list(tissue.size), f"must have {scene.dimension} entries, as dimension"
         )
     assert tissue.fixed is not None
-    if not tissue.fixed:
+    if tissue.mesh.file is not None:
+        _file(scene)
+    elif not tissue.fixed:
         raise SceneError("tissue.fixed", [], "must name at least one face, or the tissue floats")
     if "top" in tissue.fixed:
         raise SceneError(
@@ -67,20 +69,52 @@ def _tissue(scene: Scene) -> None:
             "tissue.fixed", list(tissue.fixed), "a 2D scene has the faces left, right, bottom, top"
         )
     _rollers(scene)
-    if scene.dimension == 3 and str(tissue.mesh.element).startswith("tri"):
+    from_file = tissue.mesh.file is not None
+    if scene.dimension == 3 and str(tissue.mesh.element).startswith("tri") and not from_file:
         raise SceneError(
             "tissue.mesh.element", tissue.mesh.element, "must be quad1 or quad2 in 3D: hexahedra"
         )
     for index, region in enumerate(tissue.regions):
         if np.linalg.norm(region.axis) < 1e-9:
             raise SceneError(f"tissue.regions[{index}].axis", list(region.axis), "must not be zero")
-        _region_inside(scene, index)
+        if region.shape == "tag":
+            if not from_file:
+                raise SceneError(
+                    f"tissue.regions[{index}].shape", "tag", "needs a mesh file, tissue.mesh.file"
+                )
+        else:
+            _region_inside(scene, index)
         static, kinetic = region.friction_static, region.friction_kinetic
         least = kinetic if kinetic is not None else scene.interaction.friction.kinetic
         greatest = static if static is not None else scene.interaction.friction.static
         if greatest < least:
             raise SceneError(
                 f"tissue.regions[{index}].friction_static", static, f"must be >= kinetic, {least:g}"
+            )
+
+
+def _file(scene: Scene) -> None:
+    tissue, mesh = scene.tissue, scene.tissue.mesh
+    if scene.dimension != 3:
+        raise SceneError("tissue.mesh.file", mesh.file, "tetrahedra need dimension 3")
+    if mesh.element != "tri2":
+        raise SceneError(
+            "tissue.mesh.element", mesh.element, "must be tri2, quadratic, for a mesh file"
+        )
+    if tissue.fixed or tissue.rollers:
+        raise SceneError(
+            "tissue.fixed",
+            [*(tissue.fixed or ()), *tissue.rollers],
+            "faces of a block; a mesh file has tissue.mesh.fixed and tissue.mesh.fixed_boxes",
+        )
+    if not mesh.fixed and not mesh.fixed_boxes:
+        raise SceneError("tissue.mesh.fixed", [], "must name a face, or the tissue floats")
+    for index, box in enumerate(mesh.fixed_boxes):
+        if len(box) != 6 or any(a > b for a, b in zip(box[::2], box[1::2], strict=True)):
+            raise SceneError(
+                f"tissue.mesh.fixed_boxes[{index}]",
+                list(box),
+                "must be x from, to, y from, to, z from, to",
             )
 
 

@@ -6,7 +6,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,6 +125,28 @@ def progress(total: float, description: str, unit: str = "tick") -> tqdm[Any]:
     )
 
 
+@contextmanager
+def _kept_alive(bar: tqdm[Any]) -> Iterator[None]:
+    """Show a bar, with its clock, also while one long part is under way."""
+    over = threading.Event()
+
+    def beat() -> None:
+        interval = PROGRESS_DELAY
+        while not over.wait(interval):
+            bar.refresh()
+            interval = 0.5
+
+    thread = threading.Thread(target=beat, name="progress", daemon=True)
+    if not bar.disable:
+        thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        if thread.is_alive():
+            thread.join()
+
+
 def prepared(scene: Scene) -> Simulator:
     """Return the scene's simulator; its preparation shows progress if it takes long."""
     from needle_sim_ros.simulator import Simulator
@@ -133,6 +157,7 @@ def prepared(scene: Scene) -> Simulator:
             bar.total = total
             bar.update(done - bar.n)
 
-        simulator = Simulator(scene, advance)
+        with _kept_alive(bar):
+            simulator = Simulator(scene, advance)
     print(f"tissue: {simulator.preparation}", file=sys.stderr)
     return simulator

@@ -10,7 +10,7 @@ import numpy as np
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Interaction, Region, Scene
-from needle_sim_ros.tissue.material import in_space, inside
+from needle_sim_ros.tissue.material import in_region, in_space
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class Laws:
     """
 
     def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self.interaction: Interaction = scene.interaction
         self._regions: tuple[Region, ...] = scene.tissue.regions
         self.vary = bool(self._regions)
@@ -64,7 +65,7 @@ class Laws:
         limits = asdict(self._common)
         world = in_space(point)
         for region in self._regions:
-            if not inside(region, world):
+            if not in_region(self._scene, region, world):
                 continue
             own = {
                 "static": region.friction_static,

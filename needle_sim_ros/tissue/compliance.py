@@ -120,6 +120,8 @@ class NodalCompliance:
         if self._factor.inverts:
             self._invert(planned)
             count = len(planned)
+            if progress is not None:
+                progress(1, 1)
         else:
             self._preparing = True
             count = self.ensure(nodes, progress)

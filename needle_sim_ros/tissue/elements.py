@@ -47,7 +47,9 @@ class Material:
 def scalar_basis(mesh: skfem.Mesh, element: str) -> skfem.Basis:
     """Return the scalar basis; component c of node i is the unknown d i + c."""
     shape = _ELEMENTS[element, mesh.dim()]()
-    return skfem.Basis(mesh, shape, intorder=_QUADRATURE[element])
+    # on four points the mass of a quadratic tetrahedron would have no inverse
+    order = 4 if (element, mesh.dim()) == ("tri2", 3) else _QUADRATURE[element]
+    return skfem.Basis(mesh, shape, intorder=order)
 
 
 def assemble(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Region, Scene, Tissue
 from needle_sim_ros.tissue.elements import Material
+from needle_sim_ros.tissue.mesh_file import read_tetrahedra
 
 T = TypeVar("T", float, Vector)
 
@@ -41,6 +42,13 @@ def inside(region: Region, points: Vector) -> NDArray[np.bool_]:
     return np.asarray(((offset / half) ** 2).sum(axis=0) <= 1)
 
 
+def in_region(scene: Scene, region: Region, points: Vector) -> NDArray[np.bool_]:
+    """Tell which points, shape (3, ...), lie in a region of a scene, which may be tagged cells."""
+    if region.shape == "tag":
+        return read_tetrahedra(scene).tagged(region.name, points)
+    return inside(region, points)
+
+
 def in_space(points: Vector) -> Vector:
     """Put points of the plane, shape (2, ...), into the world, shape (3, ...), with y = 0."""
     if len(points) == 3:
@@ -58,6 +66,7 @@ class MaterialField:
     """
 
     def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self._tissue: Tissue = scene.tissue
         self._plane = scene.tissue.plane if scene.dimension == 2 else None
 
@@ -70,7 +79,7 @@ class MaterialField:
         density = np.full(shape, tissue.density)
         world = in_space(points)
         for region in tissue.regions:
-            mask = inside(region, world)
+            mask = in_region(self._scene, region, world)
             for values, own in (
                 (modulus, region.youngs_modulus),
                 (ratio, region.poisson_ratio),

@@ -15,7 +15,10 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.elements import assemble, scalar_basis
 from needle_sim_ros.tissue.grid_order import nested_dissection
 from needle_sim_ros.tissue.material import MaterialField
-from needle_sim_ros.tissue.mesh import Index, build_mesh
+from needle_sim_ros.tissue.mesh import Index, TissueMesh, build_mesh
+from needle_sim_ros.tissue.mesh_file import read_tetrahedra
+from needle_sim_ros.tissue.ordering import unknowns_order
+from needle_sim_ros.tissue.tetrahedra import Tetrahedra
 
 
 class TissueModel:
@@ -35,7 +38,11 @@ class TissueModel:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.grid = build_mesh(scene)
+        self.grid: TissueMesh | Tetrahedra
+        if scene.tissue.mesh.file is None:
+            self.grid = build_mesh(scene)
+        else:
+            self.grid = read_tetrahedra(scene)
         self.dimension = scene.dimension
         element = self._element = str(scene.tissue.mesh.element)
         self.basis = scalar_basis(self.grid.mesh, element)
@@ -62,6 +69,9 @@ class TissueModel:
 
     def _held(self) -> NDArray[np.bool_]:
         """Tell which unknowns are zero: on fixed faces all, on rollers the normal ones."""
+        if isinstance(self.grid, Tetrahedra):
+            nodes = self.basis.get_dofs(facets=self.grid.fixed).flatten()
+            return np.isin(np.arange(self.nodes), nodes).repeat(self.dimension)
         tissue, where = self.scene.tissue, self.basis.doflocs
         size = tissue.size
         slack = 1e-9 * max(size)
@@ -88,6 +98,8 @@ class TissueModel:
         """Order in which to eliminate the free unknowns; None leaves it to the solver."""
         if self.dimension == 2:
             return None
+        if isinstance(self.grid, Tetrahedra):
+            return unknowns_order(self.stiffness, self.coordinates[:, self.free // 3])
         nodes = nested_dissection(self.grid.places(self.coordinates.T))
         unknowns = self.position_of[(self.dimension * nodes[:, None] + np.arange(3)).ravel()]
         return np.asarray(unknowns[unknowns >= 0])

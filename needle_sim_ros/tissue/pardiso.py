@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import weakref
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,16 +23,23 @@ _FACTORISE, _SOLVE, _RELEASE = 12, 33, -1
 _ANY_BRANCH, _STRICT = 2, 0x10000
 
 
+@cache
+def _library() -> Any:
+    """Load MKL; pypardiso searches the whole environment for it, which takes a second."""
+    from pypardiso import PyPardisoSolver
+
+    library: Any = PyPardisoSolver(mtype=_POSITIVE_DEFINITE).libmkl
+    # one thread (below) and one code path: the same bits in every run on a machine
+    library.MKL_CBWR_Set(_ANY_BRANCH | _STRICT)
+    return library
+
+
 class _Matrix:
     """The upper triangle as Pardiso takes it, and its memory."""
 
     def __init__(self, matrix: sp.csr_array) -> None:
-        from pypardiso import PyPardisoSolver
-
-        self.library: Any = PyPardisoSolver(mtype=_POSITIVE_DEFINITE).libmkl
+        self.library = _library()
         self._pardiso: Any = self.library["pardiso"]  # its own: pypardiso types the arguments
-        # one thread and one code path: the same bits in every run on a machine
-        self.library.MKL_CBWR_Set(_ANY_BRANCH | _STRICT)
         upper = sp.csr_array(sp.triu(matrix, format="csr"))
         upper.sort_indices()
         self.size = int(upper.shape[0])

@@ -51,9 +51,12 @@ def _swept(scene: Scene, drift: Vector) -> Vector:
     turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
     step = 0.5 * spacings(scene)[0]
     moves = np.linspace(0.0, 1.0, 2 + int(np.abs(drift).max() / step))
-    angles = np.arange(8) * (np.pi / 4)
+    # cells of any arrangement begin and end anywhere beside the path
+    from_file = scene.tissue.mesh.file is not None
+    angles = np.linspace(0.0, 2 * np.pi, 32 if from_file else 8, endpoint=False)
     ring = np.cos(angles)[:, None] * turned[:, 0] + np.sin(angles)[:, None] * turned[:, 1]
-    radii = scene.needle.radius * (1 - 1e-9) * np.array([0.0, 0.5, 1.0])
+    room = scene.solver.track_spacing / 4 if from_file else 0.0
+    radii = (scene.needle.radius * (1 - 1e-9) + room) * np.linspace(0.0, 1.0, 9 if from_file else 3)
     disc = (radii[:, None, None] * ring).reshape(-1, 3)
     moved = (drift[:, None] * moves)[:, :, None] * steering(scene)
     return np.asarray((moved[:, :, None, :] + disc).reshape(len(drift), -1, 3))

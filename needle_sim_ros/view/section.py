@@ -96,8 +96,10 @@ def _samples(length: float) -> int:
 
 def draw_section(ax: Axes, section: Section) -> None:
     """Draw the deformed section at true scale, coloured by displacement magnitude."""
-    size = MM * np.linalg.norm(section.displacement, axis=2)
-    placed = MM * (section.grid + section.displacement)
+    # beside an organ there is no tissue: nothing is drawn there
+    size = np.ma.masked_invalid(MM * np.linalg.norm(section.displacement, axis=2))
+    placed = MM * (section.grid + np.nan_to_num(section.displacement))
+    outside = np.isnan(section.displacement)
     mesh = ax.pcolormesh(
         placed[..., 0],
         placed[..., 2],
@@ -107,7 +109,7 @@ def draw_section(ax: Axes, section: Section) -> None:
         vmin=0.0,
         rasterized=True,
     )
-    _draw_grid_lines(ax, section.grid, placed)
+    _draw_grid_lines(ax, section.grid, np.where(outside, np.nan, placed))
     if len(section.markers):
         x, z = MM * section.markers[:, [0, 2]].T
         dot: dict[str, Any] = {"markersize": 3.5, "markerfacecolor": "white"}

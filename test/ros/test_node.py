@@ -315,6 +315,8 @@ def test_diagnostics_say_how_it_goes(cell):
     assert 0 < float(loop["real_time_factor"]) < 1.5
     assert 0 < float(loop["tick_p50_ms"]) <= float(loop["tick_p99_ms"])
     assert int(loop["overruns"]) >= 0
+    assert int(loop["waits_for_solves"]) == 0
+    assert loop["factorization"].split()[0] in ("superlu", "pardiso")
     commands = parts["needle_sim: commands"]
     assert commands["commands_received"] == "2"
     assert commands["commands_rejected"] == "1"

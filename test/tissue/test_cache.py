@@ -38,7 +38,7 @@ def scene(request, coarse_scene):
 def driven(sim, aside=0.0):
     """Everything that an insertion shows, which may go beside the plan."""
     seen = []
-    for tick in range(16):
+    for tick in range(11):
         across = aside if tick == 0 else 0.0
         seen.append(sim.step(BaseCommand(velocity=[across, 0, -8e-3]), 0.4))
     return np.array([[*o.tip_position, *o.base_force, *o.marker_displacements.flat] for o in seen])
