@@ -28,10 +28,12 @@ EXAMPLES = (
     "benchmark accuracy --quick --plot pareto.png",
     "benchmark accuracy --quick --budget 0.5ms",
     "benchmark accuracy --quick --error 1%",
+    "benchmark rollouts --quick",
+    "benchmark plan --quick",
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
-_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak")
+_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak", "rollouts", "plan")
 
 
 def available() -> list[str]:

@@ -35,6 +35,8 @@ from needle_sim_ros.tissue.mesh import planned_path, spacings
 _COARSER = 3
 # ... and at least so many on the planned path
 _LEAST_POINTS = 15
+# spacings of the mesh within the reach to each side in 3D: unknowns grow with their square
+_COLUMNS = 5
 # the farthest that the base goes, or turns, in one step: spacings, rad
 _FARTHEST, _MOST_TURN = 1.5, 0.3
 # of a segment, short of where the heading is taken, so that the next step takes it there
@@ -66,7 +68,7 @@ def planning_scene(scene: Scene, reach: float | None = None) -> Scene:
     scene : Scene
     reach : float, optional
         Half width about the planned path within which candidate paths may lie, m: there
-        the mesh is as fine as on the path itself.
+        the mesh is as fine as on the path itself, in 3D as fine as can be afforded.
     """
     changes: dict[str, object] = {"solver.dynamics": "quasi_static", "solver.modes": 0}
     spacing = scene.solver.track_spacing
@@ -76,7 +78,10 @@ def planning_scene(scene: Scene, reach: float | None = None) -> Scene:
         along = scene.tissue.mesh.spacing_along
         changes["tissue.mesh.spacing_along"] = spacing if along is None else max(along, spacing)
     if reach is not None:
-        changes["tissue.mesh.band"] = max(reach, spacings(scene)[2])
+        across, _, band = spacings(scene)
+        changes["tissue.mesh.band"] = max(reach, band)
+        if scene.dimension == 3:
+            changes["tissue.mesh.spacing_across"] = max(across, reach / _COLUMNS)
     return scene.with_changes(changes)
 
 
@@ -119,6 +124,31 @@ class QuickSimulator(Simulator):
         ahead = math.floor(passed - _HALFWAY + 1e-2) + 1 + _HALFWAY - passed
         rate = contact.rate if contact.rate > 0.3 else 1.0
         return min(ahead / rate, _FARTHEST) * spacing
+
+    def prepare_cone(self, start: float, slope: float) -> int:
+        """Prepare the tissue about the planned path for paths to any side; return the solves.
+
+        Parameters
+        ----------
+        start : float
+            Radius of the cone at the surface, m.
+        slope : float
+            Growth of its radius per depth.
+        """
+        path = planned_path(self.scene)
+        d = self.scene.dimension
+        entry = plane_points(path.entry, d)[0]
+        direction = plane_points(path.direction, d)[0]
+        away = self._model.coordinates.T - entry
+        along = away @ direction
+        aside = np.linalg.norm(away - along[:, None] * direction, axis=1)
+        spacing = self.scene.solver.track_spacing
+        inside = (aside <= start + slope * np.maximum(along, 0.0)) & (
+            along <= path.depth + 2 * spacing
+        )
+        before = self._factor.solves
+        self._dynamics.compliance.ensure(np.flatnonzero(inside))
+        return self._factor.solves - before
 
     def material_point(self, place: ArrayLike) -> MaterialPoint:
         """Return a reference point (3,) whose displacement can be read in any state; d solves."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _NAMES = "xyz"
 _SAMPLES = 200
+_LEAST_ROOM = 8e-3  # m, shown to either side of the target
 
 
 def plan_figure(
@@ -36,7 +37,7 @@ def plan_figure(
     with styled():
         figure = Figure(figsize=(7.2, 3.6 * len(axes_shown)), layout="constrained")
         FigureCanvasAgg(figure)
-        panels = figure.subplots(len(axes_shown), 2, squeeze=False, sharex="row", sharey=True)
+        panels = figure.subplots(len(axes_shown), 2, squeeze=False, sharex="row", sharey="row")
         for row, axis in enumerate(axes_shown):
             for column, (name, outcome, colour) in enumerate(
                 (("plain aim", plan.plain, ORANGE), ("planned", plan.outcome, BLUE))
@@ -91,6 +92,9 @@ def _draw_tissue(
             levels=[-np.inf, 0.0],
             colors=["0.8"],
         )
+    room = MM * max(_LEAST_ROOM, 0.5 * abs(target[2]))
+    ax.set_xlim(MM * target[axis] - room, MM * target[axis] + room)
+    ax.set_ylim(MM * target[2] - 0.2 * room, 0.2 * room)
     ax.set_aspect("equal")
     ax.set_xlabel(f"{_NAMES[axis]} (mm)")
     ax.set_ylabel("z (mm)")
