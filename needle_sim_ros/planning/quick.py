@@ -170,6 +170,12 @@ class QuickSimulator(Simulator):
         return np.asarray(point.place + moved)
 
     @property
+    def inserted(self) -> float:
+        """Length of the needle in the tissue, m."""
+        contact = self._state.contact
+        return float(contact.depth) if contact.inserted else 0.0
+
+    @property
     def track_points(self) -> Vector:
         """Reference positions of the track up to the tip, (k, 3), m: material points."""
         contact = self._state.contact

@@ -6,13 +6,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.observation import Observation
-from needle_sim_ros.planning.insertion import Insertion
 from needle_sim_ros.planning.quick import MaterialPoint, QuickSimulator
 
 # how near in depth, m, the tip has to come to the target's level, and in how many steps
@@ -64,12 +65,58 @@ class Outcome:
         return float(np.linalg.norm(self.gap))
 
 
+class Motion(Protocol):
+    """A way of the base, by how far it has gone along the needle.
+
+    ``turn`` is made in a stop at the travel ``turn_at``, within ``turn_time``.
+    """
+
+    @property
+    def length(self) -> float:
+        """Of the needle, m."""
+        ...
+
+    @property
+    def speed(self) -> float:
+        """Of the base along the needle, m/s."""
+        ...
+
+    @property
+    def axis(self) -> Vector:
+        """Unit vector along the needle, (3,)."""
+        ...
+
+    @property
+    def travel(self) -> float:
+        """Where it ends, m."""
+        ...
+
+    @property
+    def turn(self) -> float:
+        """Rad."""
+        ...
+
+    @property
+    def turn_at(self) -> float:
+        """M."""
+        ...
+
+    @property
+    def turn_time(self) -> float:
+        """S."""
+        ...
+
+    def command(self, travel: float) -> BaseCommand:
+        """Return the pose of the base at a travel."""
+        ...
+
+
 Watcher = Callable[[Observation], object]
 
 
 def roll_out(
     simulator: QuickSimulator,
-    insertion: Insertion,
+    insertion: Motion,
     target: MaterialPoint | None = None,
     arrive: bool = False,
     watch: Watcher | None = None,
@@ -80,7 +127,7 @@ def roll_out(
     ----------
     simulator : QuickSimulator
         Reset before.
-    insertion : Insertion
+    insertion : Motion
     target : MaterialPoint, optional
     arrive : bool
         End where the tip reaches the level of the displaced target along the needle
@@ -91,7 +138,29 @@ def roll_out(
     simulator.reset()
     march = _March(simulator, insertion, target, watch)
     march.start()
-    end = insertion.travel if not arrive else insertion.length - _SPARE
+    return _led(march, simulator, insertion, arrive)
+
+
+def roll_on(
+    simulator: QuickSimulator,
+    motion: Motion,
+    target: MaterialPoint | None = None,
+    arrive: bool = False,
+    watch: Watcher | None = None,
+) -> Outcome:
+    """Go on from the state in which a simulator is; parameters as of :func:`roll_out`.
+
+    An end that is behind already is reached by drawing the needle back.
+    """
+    march = _March(simulator, motion, target, watch)
+    if arrive and march.level() <= 0:
+        march.settle(march.level(), back=True)
+        return march.outcome("")
+    return _led(march, simulator, motion, arrive)
+
+
+def _led(march: _March, simulator: QuickSimulator, insertion: Motion, arrive: bool) -> Outcome:
+    end = insertion.travel if not arrive else insertion.length - simulator.inserted - _SPARE
     try:
         while march.travel < end - 1e-12:
             ahead = min(simulator.next_stop(), end - march.travel)
@@ -113,7 +182,7 @@ class _March:
     def __init__(
         self,
         simulator: QuickSimulator,
-        insertion: Insertion,
+        insertion: Motion,
         target: MaterialPoint | None,
         watch: Watcher | None,
     ) -> None:
@@ -144,7 +213,7 @@ class _March:
         """Take a step."""
         self.travel += ahead
         command = self._insertion.command(self.travel)
-        self._note(self._simulator.step(command, max(ahead, 1e-9) / self._insertion.speed))
+        self._note(self._simulator.step(command, max(abs(ahead), 1e-9) / self._insertion.speed))
 
     def _note(self, seen: Observation) -> None:
         self._last, self.steps = seen, self.steps + 1
@@ -159,7 +228,7 @@ class _March:
         away = self._simulator.position_of(self._target) - self._last.tip_position
         return float(away @ self._insertion.axis)
 
-    def settle(self, left: float) -> None:
+    def settle(self, left: float, back: bool = False) -> None:
         """End at the level of the target: it gives way a little with every step."""
         before, start = self._simulator.snapshot(), self.travel
         ahead = left
@@ -168,7 +237,7 @@ class _March:
             self.travel = start
             self.go(ahead)
             missing = self.level()
-            if abs(missing) <= _ARRIVED or ahead + missing <= 0:
+            if abs(missing) <= _ARRIVED or (ahead + missing <= 0 and not back):
                 return
             ahead += missing
 
