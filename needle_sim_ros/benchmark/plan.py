@@ -85,7 +85,7 @@ def _shared_planner(scene: Scene) -> Planner:
     straight = Insertion.of(scene)
     slope = math.tan(abs(scene.needle.tip.deviation_angle))
     planner = Planner(scene, straight, max(2e-3, slope * straight.travel))
-    planner.simulator.prepare_cone(3 * scene.needle.radius, slope)
+    planner.simulator.prepare_cone(2e-3, slope)
     return planner
 
 

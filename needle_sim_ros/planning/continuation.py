@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,8 @@ _MOST_ROLLOUTS = 15
 _CONTENT = 1e-5  # m
 # how densely a way is told, m
 _SPACING = 1e-3
+# ... and how far turned, rad
+_TURNED = 0.05
 
 
 @dataclass(frozen=True)
@@ -116,17 +119,53 @@ def follow(simulator: QuickSimulator, poses: Sequence[Pose]) -> Vector:
     return tips
 
 
-def thinned(poses: Sequence[Pose], spacing: float) -> list[Pose]:
-    """Keep the poses that lie a spacing apart, or turned by 0.05 rad, the first and the last."""
-    kept = list(poses[:1])
-    for pose in poses[1:]:
-        moved = np.linalg.norm(np.subtract(pose.position, kept[-1].position))
-        turned = to_rotation_vector(multiply(pose.orientation, conjugate(kept[-1].orientation)))
-        if moved >= spacing or np.linalg.norm(turned) >= 0.05:
-            kept.append(pose)
-    if len(poses) > 1 and kept[-1] is not poses[-1]:
-        kept.append(poses[-1])
-    return kept
+class Way:
+    """The way of a base so far, kept as few poses.
+
+    Parameters
+    ----------
+    start : Pose
+    spacing : float
+        Between poses kept, m.
+    """
+
+    def __init__(self, start: Pose, spacing: float) -> None:
+        self._spacing = spacing
+        self._kept = [start]
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """From the start to the latest."""
+        return tuple(self._kept)
+
+    @property
+    def latest(self) -> Pose:
+        """Where the base was last seen."""
+        return self._kept[-1]
+
+    def add(self, here: Pose) -> None:
+        """Note where the base is; of a stand only its first and last instant are kept."""
+        last = self._kept[-1]
+        if here.time <= last.time:
+            return
+        before = self._kept[-2] if len(self._kept) > 1 else None
+        stands = _same(here, last)
+        stood = before is not None and _same(before, last)
+        if before is None or stands != stood or (not stands and self._far(here, before)):
+            self._kept.append(here)
+        else:
+            self._kept[-1] = here
+
+    def _far(self, here: Pose, before: Pose) -> bool:
+        turned = multiply(here.orientation, conjugate(before.orientation))
+        return (
+            math.dist(here.position, before.position) >= self._spacing
+            or float(np.linalg.norm(to_rotation_vector(turned))) >= _TURNED
+        )
+
+
+def _same(a: Pose, b: Pose) -> bool:
+    return a.position == b.position and a.orientation == b.orientation
 
 
 def steer(

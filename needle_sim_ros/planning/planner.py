@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from needle_sim_ros.geometry import Vector
+from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.planning.insertion import Insertion
 from needle_sim_ros.planning.quick import MaterialPoint, QuickSimulator, planning_scene
 from needle_sim_ros.planning.rollout import Outcome, roll_out
@@ -155,6 +155,7 @@ class _Search:
         tick: Callable[[], object],
     ) -> None:
         self._simulator, self._task, self._tick = simulator, task, tick
+        self._scene = scene
         self._radius = scene.needle.radius
         self._aim = plain_aim(scene, task)
         self._point: MaterialPoint = simulator.material_point(task.target)
@@ -166,7 +167,7 @@ class _Search:
         plain = roll_out(self._simulator, self._aim, self._point)
         self._rollouts += 1
         try:
-            for start in self._variables.starts():
+            for start in self._variables.starts(self._guess(plain)):
                 self._from(start)
                 if self._met():
                     break
@@ -183,6 +184,25 @@ class _Search:
             worst,
             self._rollouts,
         )
+
+    def _guess(self, plain: Outcome) -> dict[str, float]:
+        """Guess how the bevel has to stand, from how the plain aim was deflected.
+
+        A bevel that steers along a circle deflects the tip by a share 1 - 2 (1 - a)^2 of
+        what it can when it is turned round after the part a of the way.
+        """
+        if self._scene.dimension == 2:
+            return {}
+        axes = rotation_matrix(self._aim.orientation)[:, :2].T
+        straight = np.array([*self._aim.entry, 0.0]) + self._aim.travel * self._aim.axis
+        steered, wanted = axes @ (plain.tip - straight), axes @ (plain.target - straight)
+        angle = math.atan2(wanted[1], wanted[0]) - math.atan2(steered[1], steered[0])
+        roll = math.remainder(angle, 2 * math.pi)
+        most = float(np.linalg.norm(steered))
+        share = min(float(np.linalg.norm(wanted)) / max(most, 1e-9), 1.0)
+        part = 1 - math.sqrt((1 - share) / 2)
+        stop = min(max(part, 0.15), 0.85) * self._aim.travel
+        return {"roll": roll, "turn": math.pi, "turn_at": stop - self._aim.turn_at}
 
     def _met(self) -> bool:
         if self._best is None:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needle_sim_ros.base_motion import BaseMotion, newmark_parts
 from needle_sim_ros.errors import NeedleSimError, SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact
@@ -107,10 +108,16 @@ class QuickSimulator(Simulator):
         super().__init__(scene, progress)
         self.softer = 1.0  # by how much the tissue is softer than the one factorised
 
-    def _parts(self, state: Snapshot, position: Vector, turning: Vector, dt: float) -> int:
-        advance, spacing = math.dist(position, state.position), self.scene.solver.track_spacing
-        by_turn = math.ceil(math.hypot(*turning) / _MOST_TURN - 1e-9)
-        return max(1, math.ceil(advance / (_FARTHEST * spacing) - 1e-9), by_turn)
+    def _parts(
+        self, state: Snapshot, motion: BaseMotion, dt: float
+    ) -> tuple[tuple[float, bool], ...]:
+        advance, spacing = (
+            math.dist(motion.position, state.position),
+            self.scene.solver.track_spacing,
+        )
+        by_turn = math.ceil(math.hypot(*motion.turning) / _MOST_TURN - 1e-9)
+        count = max(1, math.ceil(advance / (_FARTHEST * spacing) - 1e-9), by_turn)
+        return newmark_parts(count, False)
 
     def next_stop(self) -> float:
         """Return how far the base should go in the next step, m.

@@ -84,11 +84,20 @@ class Variables:
         """Return steps for differences, shape (n,)."""
         return np.full(len(self._variables), _STEP)
 
-    def starts(self) -> Iterator[Vector]:
-        """Yield where to start from: the plain aim first, then turned bevels."""
+    def starts(self, guess: dict[str, float]) -> Iterator[Vector]:
+        """Yield where to start from: a guess of roll and turn, the plain aim, turned bevels.
+
+        Parameters
+        ----------
+        guess : dict
+            Values of some of the variables by name, in their own units.
+        """
+        known = [guess.get(v.name, 0.0) / v.unit for v in self._variables]
+        yield np.array(known)
         choices = [(0.0, *v.starts) for v in self._variables]
         for choice in itertools.product(*choices):
-            yield np.array(choice)
+            if any(choice) or any(known):
+                yield np.array(choice)
 
     def apply(self, aim: Insertion, x: Vector) -> Insertion:
         """Return the aim with the variables added to it."""

@@ -24,6 +24,7 @@ from needle_sim_ros.ros import parameters
 from needle_sim_ros.ros.clock_loop import ClockLoop
 from needle_sim_ros.ros.commands import StageCommands
 from needle_sim_ros.ros.diagnostics import Diagnostics
+from needle_sim_ros.ros.planning import Planning
 from needle_sim_ros.ros.plant import Naming, Plant, Sink
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
@@ -77,6 +78,7 @@ class SimNode(Node):
         if settings.record:
             self.plant.start_recording(Path(settings.record))
             self.get_logger().info(f"recording in {self.plant.recording}")
+        self._planning = Planning(self, self.plant, settings.tissue_frame)
         self._lost = 0
         self._subscribe()
         self.create_service(Trigger, "~/reset", self._reset)
@@ -98,6 +100,7 @@ class SimNode(Node):
 
     def close(self) -> None:
         """Stop ticking and finish the recording; the context must still be valid."""
+        self._planning.close()
         self.loop.stop()
         if self.plant.recording is not None:
             folder, status = self.plant.stop_recording()
