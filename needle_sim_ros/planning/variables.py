@@ -14,8 +14,9 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.planning.insertion import Insertion
 from needle_sim_ros.scene import Scene
 
-# of a unit, for differences
-_STEP = 0.1
+# of a unit, for differences; more where the bevel turns, whose effect is rough
+_STEP, _BEVEL_STEP = 0.1, 0.4
+_OF_BEVEL = ("roll", "turn", "turn_at")
 _MOST_OFFSET = 10e-3  # m
 _STEEPEST = math.radians(25)
 
@@ -82,7 +83,7 @@ class Variables:
 
     def steps(self) -> Vector:
         """Return steps for differences, shape (n,)."""
-        return np.full(len(self._variables), _STEP)
+        return np.array([_BEVEL_STEP if v.name in _OF_BEVEL else _STEP for v in self._variables])
 
     def starts(self, guess: dict[str, float]) -> Iterator[Vector]:
         """Yield where to start from: a guess of roll and turn, the plain aim, turned bevels.
@@ -109,7 +110,7 @@ class Variables:
         single = {
             v.name: getattr(aim, v.name) + value * v.unit
             for v, value in zip(self._variables, x.tolist(), strict=True)
-            if v.name in ("roll", "turn", "turn_at")
+            if v.name in _OF_BEVEL
         }
         pairs = {name: (pair[0], pair[1]) for name, pair in changes.items()}
         return replace(aim, **pairs, **single)  # type: ignore[arg-type]
