@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needle_sim_ros.base_motion import BaseMotion, newmark_parts
+from needle_sim_ros.base_motion import BaseMotion
 from needle_sim_ros.errors import NeedleSimError, SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact
@@ -108,16 +108,12 @@ class QuickSimulator(Simulator):
         super().__init__(scene, progress)
         self.softer = 1.0  # by how much the tissue is softer than the one factorised
 
-    def _parts(
-        self, state: Snapshot, motion: BaseMotion, dt: float
-    ) -> tuple[tuple[float, bool], ...]:
-        advance, spacing = (
-            math.dist(motion.position, state.position),
-            self.scene.solver.track_spacing,
-        )
+    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, bool]:
+        spacing = self.scene.solver.track_spacing
+        advance = math.dist(motion.position, state.position)
         by_turn = math.ceil(math.hypot(*motion.turning) / _MOST_TURN - 1e-9)
-        count = max(1, math.ceil(advance / (_FARTHEST * spacing) - 1e-9), by_turn)
-        return newmark_parts(count, False)
+        by_way = math.ceil(advance / (_FARTHEST * spacing) - 1e-9)
+        return max(1, by_way, by_turn), False
 
     def next_stop(self) -> float:
         """Return how far the base should go in the next step, m.
