@@ -52,7 +52,7 @@ def plan(scene: Scene, quick: bool = False, progress: Progress | None = None) ->
     count = _QUICK_TARGETS if quick else _TARGETS
     verified = _QUICK_VERIFIED if quick else _VERIFIED
     generator = np.random.default_rng(_SEED)
-    shared = _shared_planner(scene) if scene.dimension == 3 else None
+    shared = Planner.all_round(scene, Insertion.of(scene)) if scene.dimension == 3 else None
     rows: list[Row] = []
     for number in range(count):
         began = time.process_time()
@@ -78,15 +78,6 @@ def _planar_task(scene: Scene, generator: np.random.Generator) -> Task:
     x = generator.uniform(-width / 6, width / 6)
     z = generator.uniform(-0.75 * depth, -0.25 * depth)
     return Task((float(x), 0.0, float(z)), ("entry",), tolerance=TOLERANCE[2])
-
-
-def _shared_planner(scene: Scene) -> Planner:
-    """Return one planner for all targets, its mesh fine where the bevel may steer to."""
-    straight = Insertion.of(scene)
-    slope = math.tan(abs(scene.needle.tip.deviation_angle))
-    planner = Planner(scene, straight, max(2e-3, slope * straight.travel))
-    planner.simulator.prepare_cone(2e-3, slope)
-    return planner
 
 
 def _spatial_task(scene: Scene, planner: Planner, generator: np.random.Generator) -> Task:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How many "what if" a planner gets: rollouts and branches per second, in times real time.
 
-Rollouts of several depths and ticks of the scene's own simulator take turns in one run, so
-that what else the machine does hits them alike.
+Rollouts of several depths and ticks of the scene's own simulator take turns in one run.
+Times are processor time, of one core whatever else the machine does; only the scaling over
+processes is by the clock on the wall.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def rollouts(
     Returns
     -------
     BenchmarkResult
-        ``times_real_time`` is the simulated time of the whole insertion over the wall time
-        of a rollout, medians; ``end_error`` the largest relative error at its end.
+        ``times_real_time`` is the simulated time of the whole insertion over the processor
+        time of a rollout, medians; ``end_error`` the largest relative error at its end.
     """
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     total = rounds + 3
@@ -60,9 +61,9 @@ def rollouts(
         if progress is not None:
             progress(done, total)
 
-    began = time.perf_counter()
+    began = time.process_time()
     simulator = QuickSimulator(planning_scene(scene))
-    setup = time.perf_counter() - began
+    setup = time.process_time() - began
     whole = Insertion.of(scene)
     node = Simulator(scene)
     step(1)
@@ -72,9 +73,9 @@ def rollouts(
     for number in range(rounds):
         for part in _PARTS:
             insertion = whole.with_travel(part * whole.travel)
-            began = time.perf_counter()
+            began = time.process_time()
             steps[part] = roll_out(simulator, insertion).steps
-            times[part].append(time.perf_counter() - began)
+            times[part].append(time.process_time() - began)
         ticks += _node_ticks(node, whole, rounds, number)
         step(number + 2)
     result = BenchmarkResult("rollouts", scene.name)
@@ -117,9 +118,9 @@ def _node_ticks(node: Simulator, whole: Insertion, rounds: int, number: int) -> 
         node.step(whole.command(0.0), dt)
     for k in range(_TICKS):
         travel = start + (k + 1) * whole.travel / rounds / _TICKS
-        began = time.perf_counter()
+        began = time.process_time()
         node.step(whole.command(travel), dt)
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.process_time() - began)
     return seconds
 
 
@@ -160,11 +161,11 @@ def _branches(simulator: QuickSimulator, whole: Insertion) -> float:
     for k in range(_BRANCHES):
         aside = 1e-4 * (k % 5 - 2)
         place = whole.place(0.98 * whole.travel + ahead) + np.array([aside, 0.0, 0.0])
-        began = time.perf_counter()
+        began = time.process_time()
         simulator.restore(start)
         seen = simulator.step(BaseCommand(position=place), ahead / whole.speed)
         _ = seen.tip_position
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.process_time() - began)
     return 1 / float(np.median(seconds))
 
 

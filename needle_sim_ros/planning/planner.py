@@ -24,6 +24,7 @@ from needle_sim_ros.scene import Scene
 _CONTENT = {2: 0.2, 3: 0.8}
 _MOST_ROLLOUTS = 30  # from each start
 _REACH = 4e-3  # m, half width of the fine mesh about the plain aim
+_CORE = 2e-3  # m, radius at the surface of what is prepared for bevels that turn
 _SCALE = 1e-3  # m, a miss of this counts as one
 
 
@@ -91,7 +92,20 @@ class Planner:
     ) -> Planner:
         """Return a planner whose mesh is fine about the plain aim at a target."""
         check(task, scene)
-        return cls(scene, plain_aim(scene, task), None, progress)
+        aim = plain_aim(scene, task)
+        if "roll" in task.vary or "schedule" in task.vary:
+            return cls.all_round(scene, aim, progress)
+        return cls(scene, aim, None, progress)
+
+    @classmethod
+    def all_round(
+        cls, scene: Scene, aim: Insertion, progress: Callable[[int, int], None] | None = None
+    ) -> Planner:
+        """Return a planner for bevels that steer from an aim to any side."""
+        slope = math.tan(abs(scene.needle.tip.deviation_angle))
+        planner = cls(scene, aim, max(_REACH, slope * aim.travel), progress)
+        planner.simulator.prepare_cone(_CORE, slope)
+        return planner
 
     def plan(self, task: Task, tick: Callable[[], object] = lambda: None) -> Plan:
         """Find an insertion.
