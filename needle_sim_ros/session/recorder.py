@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from needle_sim_ros.session.bag import Bag
@@ -133,7 +133,8 @@ class Recorder:
                 batch, self._queue = self._queue, []
                 self._in_hand, self._queued_bytes = len(batch), 0
             for part in _parts(batch):
-                self._write(part)
+                for piece in self._bag.pieces(part):
+                    self._write(piece)
         self._check_removed()
         try:
             made_room = self._bag.close()
@@ -144,7 +145,7 @@ class Recorder:
             if made_room:
                 self._note(-made_room, made_room, "no room for the index")
 
-    def _write(self, part: list[Entry]) -> None:
+    def _write(self, part: Sequence[Entry]) -> None:
         try:
             self._bag.write(part)
         except Exception as error:  # whatever it is, it is counted and the simulation goes on
@@ -166,7 +167,7 @@ class Recorder:
         with self._lock:
             self._written += written
             self._lost += lost
-            self._size = self._bag.file.size
+            self._size = self._bag.size
             self._error = error or self._error
 
 
