@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from needle_sim_ros.errors import NeedleSimError
@@ -84,6 +85,16 @@ class ManagedSimNode(LifecycleNode):
         simulation, self.simulation = self.simulation, None
         if simulation is not None:
             simulation.destroy()
+
+    def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
+        # rclpy raises in its executor, which ends the node, when somebody asks for a
+        # transition that the present state does not have; there is no public hook.
+        change: Any = getattr(super(), "_LifecycleNodeMixin__change_state")  # noqa: B009
+        try:
+            return change(transition_id)
+        except RCLError as error:
+            self.get_logger().warning(f"transition {transition_id} refused: {error}")
+            return _Return.FAILURE
 
     def _built(self) -> Simulation:
         if self.simulation is None:

@@ -74,6 +74,7 @@ class Cell:
 
     until = staticmethod(until)
     scene_changes = COARSE
+    overrides = OVERRIDES
 
     def __init__(self, domain):
         import rclpy
@@ -86,6 +87,10 @@ class Cell:
         self.sim = None
         self.clients = {}
 
+    def spin(self, node):
+        """Spin a node in a thread of its own until the cell is closed."""
+        self.spinners.append(Spinner(node, self.context))
+
     def start(self, paused=True, **parameters):
         """Start the simulator node; parameters' dots are written as double underscores."""
         from rclpy.parameter import Parameter
@@ -95,7 +100,7 @@ class Cell:
         given = {"scene_overrides": OVERRIDES, "command_timeout": 0.0, **parameters}
         overrides = [Parameter(k.replace("__", "."), value=v) for k, v in given.items()]
         self.sim = SimNode(context=self.context, parameter_overrides=overrides)
-        self.spinners.append(Spinner(self.sim, self.context))
+        self.spin(self.sim)
         if paused:
             self.sim.loop.pause()
         self.sim.start()
@@ -170,9 +175,11 @@ class NodeProcess:
 
     until = staticmethod(until)
 
-    def __init__(self, domain, folder, *arguments):
+    def __init__(self, domain, folder, *arguments, managed=False):
         self.folder = Path(folder)
-        command = [sys.executable, "-m", "needle_sim_ros.ros.node", "--ros-args"]
+        command = [sys.executable, "-m", "needle_sim_ros.ros.node"]
+        command += ["--managed"] if managed else []
+        command += ["--ros-args"]
         for argument in (f"scene_overrides:={json.dumps(OVERRIDES)}", *arguments):
             command += ["-p", argument]
         self.log = (self.folder / "node.log").open("w+")
@@ -224,8 +231,8 @@ def node_process(domain, tmp_path):
     pytest.importorskip("rclpy")
     started = []
 
-    def start(*arguments):
-        started.append(NodeProcess(domain, tmp_path, *arguments))
+    def start(*arguments, folder=tmp_path, managed=False):
+        started.append(NodeProcess(domain, folder, *arguments, managed=managed))
         return started[-1]
 
     yield start
