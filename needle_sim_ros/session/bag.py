@@ -258,7 +258,7 @@ class Bag:
             for metadata in self._metadata:
                 following.add_metadata(*metadata)
             self.file.finish(
-                lambda: ("rosbag2", {"serialized_metadata": _yaml(self._information())}),
+                lambda: ("rosbag2", {"serialized_metadata": _yaml(self._information([part]))}),
                 make_room=False,
             )
         except OSError:
@@ -293,7 +293,7 @@ class Bag:
 
         def closing() -> tuple[str, dict[str, str]]:
             nonlocal failure
-            information = self._information()
+            information = self._information([*self._parts, self._part()])
             text = _yaml({"rosbag2_bagfile_information": information})
             try:
                 target.write_text(text, encoding="utf-8")
@@ -314,8 +314,7 @@ class Bag:
             raise failure
         return dropped
 
-    def _information(self) -> dict[str, Any]:
-        parts = [*self._parts, self._part()]
+    def _information(self, parts: Sequence[_Part]) -> dict[str, Any]:
         filled = [part.times for part in parts if any(part.counts.values())] or [(0, 0)]
         total = sum(sum(part.counts.values()) for part in parts)
         extent = _extent(min(t[0] for t in filled), max(t[1] for t in filled), total)

@@ -3,6 +3,7 @@
 
 import dataclasses
 import resource
+import shutil
 import signal
 
 import numpy as np
@@ -332,6 +333,102 @@ def test_recording_by_service_refuses_with_the_reason_and_never_overwrites(cell,
     response = cell.call(SetBool, "/needle_sim/record", data=True)
     assert not response.success and "Not a directory" in response.message
     assert cell.step(1)["ticks"] == 1
+
+
+def test_nobody_records_outside_the_folder_given(cell, tmp_path):
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside.mkdir()
+    outside.mkdir()
+    (inside / "link").symlink_to(outside)
+    cell.start(record_root=str(inside))
+
+    def set_record(folder):
+        change = string("record", str(folder))
+        return cell.call(SetParameters, SET_PARAMETERS, parameters=[change]).results[0]
+
+    for folder in (outside, inside / ".." / "outside", inside / "link", "/", "/etc", ".", "~"):
+        result = set_record(folder)
+        assert not result.successful
+        assert f"must be inside {inside}" in result.reason
+    assert set_record(inside / "deeper").successful
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert response.success and response.message.startswith(str(inside / "deeper"))
+    assert cell.call(SetBool, "/needle_sim/record", data=False).success
+    (inside / "deeper").rename(inside / "was")
+    (inside / "deeper").symlink_to(outside)  # after it was checked
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert not response.success and "must be inside" in response.message
+    assert list(outside.iterdir()) == []
+    assert set_record("").successful
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert response.success and response.message.startswith(str(inside))
+
+
+def test_sessions_go_on_in_other_files_when_asked_for(cell, tmp_path):
+    sim = cell.start(record=str(tmp_path), record_split_duration=0.1)
+    cell.send(cell.publisher(TwistStamped, "/stage_velocity"), velocity(-0.1))
+    cell.step(25)
+    folder, status = sim.plant.stop_recording()
+    assert status.lost == 0
+    assert len(list(folder.glob("*.mcap"))) == 3
+    changes = [double("record_split_duration", 0.0), double("record_split_size", 1.0)]
+    results = cell.call(SetParameters, SET_PARAMETERS, parameters=changes).results
+    assert all(result.successful for result in results)
+    session = read_session(folder)
+    assert len(session.series) == 25
+    assert_same(session.series, replayed(session))
+    assert cell.sim.simulation.record_folder.split.size == 1.0
+    with Reader(folder) as reader:
+        assert reader.message_count == status.written
+
+
+def test_starts_and_stops_while_moving_give_sessions_that_each_replay(cell, tmp_path):
+    sim = cell.start(record_root=str(tmp_path), rate=200.0)
+    cell.send(cell.publisher(TwistStamped, "/stage_velocity"), velocity(-0.02))
+    assert cell.call(SetBool, "/needle_sim/pause", data=False).success
+    folders = []
+    for _ in range(4):
+        response = cell.call(SetBool, "/needle_sim/record", data=True)
+        assert response.success, response.message
+        ticks = sim.plant.ticks
+        cell.until(lambda ticks=ticks: sim.plant.ticks > ticks + 10)
+        folders.append(sim.plant.recording)
+        assert cell.call(SetBool, "/needle_sim/record", data=False).success
+    assert len(set(folders)) == 4
+    for folder in folders:
+        session = read_session(folder)
+        assert session.complete and len(session.series) >= 10
+        np.testing.assert_allclose(np.diff(session.series.time), 0.005, atol=1e-9)
+    assert_same(session.series, replayed(session))
+
+
+def test_two_nodes_record_side_by_side(node_process, tmp_path):
+    place = tmp_path / "bags"
+    nodes = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        nodes.append(node_process(f"record:={place}", folder=tmp_path / name))
+    for node in nodes:
+        node.until_running()
+    nodes[0].until(lambda: len(list(place.glob("*/*.mcap"))) == 2)
+    nodes[0].until(lambda: all(file.stat().st_size > 40_000 for file in place.glob("*/*.mcap")))
+    for node in nodes:
+        status, _ = node.end()
+        assert status == 0, node.output()
+    for folder in place.iterdir():
+        session = read_session(folder)
+        assert session.complete and len(session.series) == len(session.motions) > 20
+
+
+def test_a_folder_that_is_removed_is_said_and_does_not_end_the_node(node_process, tmp_path):
+    node = node_process(f"record:={tmp_path / 'bags'}")
+    node.until_running()
+    node.until(lambda: list((tmp_path / "bags").glob("*/*.mcap")))
+    shutil.rmtree(tmp_path / "bags")
+    node.until(lambda: "was removed" in node.output())
+    status, _ = node.end()
+    assert status == 0, node.output()
+    assert "Traceback" not in node.output()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
