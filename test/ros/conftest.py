@@ -91,15 +91,20 @@ class Cell:
         """Spin a node in a thread of its own until the cell is closed."""
         self.spinners.append(Spinner(node, self.context))
 
-    def start(self, paused=True, **parameters):
-        """Start the simulator node; parameters' dots are written as double underscores."""
+    def start(self, paused=True, arguments=(), **parameters):
+        """Start the simulator node; parameters' dots are written as double underscores.
+
+        `arguments` are those after --ros-args.
+        """
         from rclpy.parameter import Parameter
 
         from needle_sim_ros.ros.sim_node import SimNode
 
-        given = {"scene_overrides": OVERRIDES, "command_timeout": 0.0, **parameters}
+        given = {} if arguments else {"scene_overrides": OVERRIDES, "command_timeout": 0.0}
+        given.update(parameters)
         overrides = [Parameter(k.replace("__", "."), value=v) for k, v in given.items()]
-        self.sim = SimNode(context=self.context, parameter_overrides=overrides)
+        cli_args = ["--ros-args", *arguments] if arguments else None
+        self.sim = SimNode(context=self.context, parameter_overrides=overrides, cli_args=cli_args)
         self.spin(self.sim)
         if paused:
             self.sim.loop.pause()
