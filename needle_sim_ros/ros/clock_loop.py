@@ -100,11 +100,16 @@ class ClockLoop:
         """Tick again, from now on."""
         self._running.set()
 
-    def start(self, on_error: Callable[[BaseException], object]) -> None:
-        """Run in a thread of its own; `on_error` is told what ended it, if anything."""
+    def start(
+        self,
+        on_error: Callable[[BaseException], object],
+        before: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Run in a thread of its own, after `before`; `on_error` is told what ended it."""
 
         def run() -> None:
             try:
+                before()
                 self.run()
             except BaseException as error:
                 self.error = error

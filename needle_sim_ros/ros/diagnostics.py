@@ -23,6 +23,8 @@ class Diagnostics:
         What makes it tick.
     publishers : callable
         Gives the number of publishers of each command topic.
+    priority : callable
+        Says with which priority the loop runs.
     name : str
         Name of the node.
     """
@@ -32,10 +34,12 @@ class Diagnostics:
         plant: Plant,
         loop: ClockLoop,
         publishers: Callable[[], Mapping[str, int]],
+        priority: Callable[[], str],
         name: str,
     ) -> None:
         self._plant = plant
         self._publishers = publishers
+        self._priority = priority
         self._loop = loop
         self._name = name
         self._seen = {"overruns": 0, "rejected": 0, "failed": 0, "lost": 0}
@@ -74,6 +78,7 @@ class Diagnostics:
             "lateness_max_ms": f"{1e3 * report.lateness_max:.3f}",
             "overruns": str(report.overruns),
             "ticks": str(ticks),
+            "priority": self._priority(),
             "solves": str(plant.statistics.solves),
             "waits_for_solves": str(plant.statistics.waits),
             "failed_ticks": str(plant.failed_ticks),

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
 
-from rclpy.event_handler import PublisherEventCallbacks, UnsupportedEventTypeError
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -19,7 +17,7 @@ _RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Outputs:
-    """Publishers of everything that the node says.
+    """Publishers of everything that the node says; :meth:`refresh` them now and then.
 
     Parameters
     ----------
@@ -36,6 +34,7 @@ class Outputs:
     def __init__(self, node: Node, clock: bool) -> None:
         self._node = node
         self._publishers: list[Publisher] = []
+        self._hearers: list[_Hearers] = []
         self.sinks: dict[Channel, Sink] = {}
         for channel in (
             *channels.OUTPUTS,
@@ -49,31 +48,34 @@ class Outputs:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
+    def refresh(self) -> None:
+        """Ask the middleware who listens."""
+        for hearers in self._hearers:
+            hearers.refresh()
+
     def _sink(self, channel: Channel) -> Sink:
         package, _, kind = channel.type.split("/")
         message = getattr(import_module(f"{package}.msg"), kind)
-        hearers = _Hearers()
-        try:
-            events = PublisherEventCallbacks(matched=hearers.changed)
-            publisher = self._node.create_publisher(
-                message, channel.name, _RELIABLE, event_callbacks=events
-            )
-            wanted: Any = hearers.any
-        except UnsupportedEventTypeError:  # not every middleware tells
-            publisher = self._node.create_publisher(message, channel.name, _RELIABLE)
-            wanted = publisher.get_subscription_count
+        publisher = self._node.create_publisher(message, channel.name, _RELIABLE)
+        hearers = _Hearers(publisher)
         self._publishers.append(publisher)
-        return Sink(wanted, publisher.publish)
+        self._hearers.append(hearers)
+        return Sink(hearers.any, publisher.publish)
 
 
 class _Hearers:
-    """Number of subscribers of a topic as the middleware tells: asking costs every tick."""
+    """Whether a topic has subscribers, as last asked.
 
-    def __init__(self) -> None:
-        self._count = 0
+    Asking for every topic in every tick took a tenth of a tick; the middleware's own
+    event is dearer still, since the executor then looks at one more thing per topic.
+    """
 
-    def changed(self, status: Any) -> None:
-        self._count = status.current_count
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
+        self._any = False
+
+    def refresh(self) -> None:
+        self._any = self._publisher.get_subscription_count() > 0
 
     def any(self) -> bool:
-        return self._count > 0
+        return self._any

@@ -49,6 +49,9 @@ _NUMBERS = {
     "max_base_jump": _Number(
         0.5, 1e-6, 100.0, True, "Poses farther than this from the base are refused, m."
     ),
+    "realtime_priority": _Number(
+        0.0, 0.0, 99.0, False, "Priority of the clock loop (SCHED_FIFO, 1 to 99); 0: normal."
+    ),
     "record_split_size": _Number(
         0.0, 0.0, 1e15, True, "Sessions go on in another file at this size, bytes; 0: never."
     ),
@@ -90,6 +93,7 @@ class Settings:
     scene: Scene
     rate: float
     limits: StageLimits
+    realtime_priority: float
     publish_clock: bool
     record: bool
     record_folder: RecordFolder
@@ -131,6 +135,7 @@ def declare(node: Node) -> Settings:
         scene=scene,
         rate=numbers["rate"],
         limits=limits(numbers),
+        realtime_priority=numbers["realtime_priority"],
         publish_clock=bool(publish_clock),
         record=bool(texts["record"]),
         record_folder=RecordFolder(

@@ -28,6 +28,8 @@ class Services:
         What ticks.
     loop : ClockLoop
         What makes it tick.
+    before_step : callable
+        Called before each single step.
     record : callable
         Gives where and how to record now.
     active : callable
@@ -39,12 +41,14 @@ class Services:
         node: Node,
         plant: Plant,
         loop: ClockLoop,
+        before_step: Callable[[], object],
         record: Callable[[], RecordFolder],
         active: Callable[[], bool],
     ) -> None:
         self._node = node
         self._plant = plant
         self._loop = loop
+        self._before_step = before_step
         self._record_now = record
         self._active = active
         self._services = [
@@ -86,6 +90,7 @@ class Services:
         if not self._loop.paused:
             response.message = "not paused: call ~/pause with true first"
             return response
+        self._before_step()
         before = self._plant.total_ticks
         self._plant.tick()
         response.success = self._plant.total_ticks > before

@@ -25,11 +25,13 @@ from needle_sim_ros.ros.inputs import Inputs
 from needle_sim_ros.ros.outlet import Naming
 from needle_sim_ros.ros.outputs import Outputs
 from needle_sim_ros.ros.plant import Plant
+from needle_sim_ros.ros.priority import take_priority
 from needle_sim_ros.ros.services import Services
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
+_HEARERS_PERIOD = 0.05  # s, after which a new subscriber is noticed
 _CLOCK_POLL = 1e-3  # s, how often a clock from outside is looked at
 
 
@@ -46,6 +48,8 @@ class Simulation:
     plant : Plant
     loop : ClockLoop
     outputs : Outputs
+    priority : str
+        With which the clock loop runs.
     active : bool
         Whether it may tick; a managed node that is not activated may not.
 
@@ -61,6 +65,7 @@ class Simulation:
         self._undo: list[Callable[[], object]] = []
         self._lost = 0
         self.active = True
+        self.priority = "normal"
         try:
             self._build()
         except BaseException:
@@ -74,7 +79,7 @@ class Simulation:
             self._node.get_logger().fatal(f"the clock loop ended: {error!r}")
             on_error(error)
 
-        self.loop.start(failed)
+        self.loop.start(failed, self._take_priority)
         scene, rate = self.plant.scene.name, 1 / self.plant.period
         self._node.get_logger().info(f"simulating {scene} at {rate:g} Hz")
 
@@ -123,11 +128,20 @@ class Simulation:
         inputs = Inputs(node, self.plant, self._warn)
         self._undo.append(inputs.destroy)
         services = Services(
-            node, self.plant, self.loop, lambda: self.record_folder, lambda: self.active
+            node,
+            self.plant,
+            self.loop,
+            self.outputs.refresh,
+            lambda: self.record_folder,
+            lambda: self.active,
         )
         self._undo.append(services.destroy)
         name = node.get_fully_qualified_name()[1:]
-        self._diagnostics = Diagnostics(self.plant, self.loop, inputs.publishers, name)
+        self._diagnostics = Diagnostics(
+            self.plant, self.loop, inputs.publishers, lambda: self.priority, name
+        )
+        hearers = node.create_timer(_HEARERS_PERIOD, self.outputs.refresh, clock=Clock())
+        self._undo.append(partial(node.destroy_timer, hearers))
         timer = node.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock())
         self._undo.append(partial(node.destroy_timer, timer))
         validate = partial(parameters.validate, node, self)
@@ -135,6 +149,9 @@ class Simulation:
         self._undo.append(partial(node.remove_on_set_parameters_callback, validate))
         node.add_post_set_parameters_callback(self._parameters_set)
         self._undo.append(partial(node.remove_post_set_parameters_callback, self._parameters_set))
+
+    def _take_priority(self) -> None:
+        self.priority = take_priority(self._settings.realtime_priority)
 
     def _resolved(self, channel: Channel) -> str:
         name: str = self._node.resolve_topic_name(channel.name)
