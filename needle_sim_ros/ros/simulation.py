@@ -6,6 +6,7 @@ The plain node and the managed node differ only in when they do this.
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -192,6 +193,8 @@ class Simulation:
                 self.plant.event("parameter", name=change.name, value=change.value)
 
     def _diagnose(self) -> None:
+        if not gc.isenabled():
+            gc.collect()
         data = serialize_message(self._diagnostics.message())
         self.outputs.sinks[channels.DIAGNOSTICS].publish(data)
         self.plant.record(channels.DIAGNOSTICS, data)

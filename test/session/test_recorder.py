@@ -73,7 +73,8 @@ def test_a_queue_that_is_full_loses_and_counts_but_never_waits(tmp_path):
     channel = bag.add_topic(TOPIC)
     recorder = Recorder(bag, capacity=10 * (12 + 120), interval=600.0)
     start = time.monotonic()
-    recorder.write(1, [(channel, cdr.float64(k)) for k in range(25)])
+    for k in range(25):
+        recorder.write(1, [(channel, cdr.float64(k))])
     assert time.monotonic() - start < 1.0
     assert recorder.status.lost == 15
     assert recorder.status.queued == 10
