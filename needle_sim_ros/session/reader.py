@@ -27,6 +27,7 @@ from needle_sim_ros.session.writer import ABOUT, CHANGES_FILE, HISTORY_FILE, SCE
 _NEEDED = frozenset(
     ("tip_deflection", "tip_pose", "base_wrench", "tissue_markers", "insertion_depth", "process")
 )
+_LARGEST_SCENE = 1_000_000  # bytes of YAML, as of a scene's file
 # Log times in ns and serialised messages of a topic, by role.
 Recorded = Mapping[str, tuple[Sequence[int], Sequence[bytes]]]
 
@@ -161,6 +162,8 @@ def recorded_messages(content: Content, about: Mapping[str, str]) -> Recorded:
 
 def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
     scene = content.attachments[SCENE_FILE]
+    if len(scene) > _LARGEST_SCENE:
+        raise SessionError(f"{file}: its scene is larger than {_LARGEST_SCENE} bytes")
     if sha256(scene).hexdigest() != about["scene_sha256"]:
         raise SessionError(f"{file} is damaged: the scene is not the one recorded")
     started_late = int(about["start_tick"]) > 0
