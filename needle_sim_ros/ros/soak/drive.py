@@ -76,6 +76,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         "tick_p50_ms": 1e3 * loaded.tick_p50,
         "tick_p99_ms": 1e3 * loaded.tick_p99,
         "lateness_p99_ms": 1e3 * loaded.lateness_p99,
+        "realtime_priority": float(loaded.realtime),
         "latency_median_ticks": float(np.median(latencies)) if measured else None,
         "latency_p99_ticks": float(np.percentile(latencies, 99)) if measured else None,
         "latency_samples": len(latencies),

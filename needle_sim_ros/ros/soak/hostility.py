@@ -25,8 +25,9 @@ from needle_sim_ros.simulator import Simulator
 _BATCH = 8  # fewer than the subscription's queue holds
 _PATIENCE = 0.5  # s to wait for a batch; the subscription is best effort
 _ANSWER = 20.0  # s
-_TURN = 200  # steps until the needle turns round
-_FAST, _SLOW = -0.05, -3e-3  # m/s
+_TURN = 60  # steps until the needle turns round
+_DOWN = 0.018  # m that it goes down first: into the tissue
+_SPEED = 3e-3  # m/s, then
 _STAMP = struct.Struct("<iI")
 
 
@@ -70,8 +71,9 @@ def provoke(
     heard: dict[str, dict[int, bytes]] = {"base_wrench": {}, "tip_pose": {}}
     rng = random.Random(0)
     received = steps = changed = 0
+    given = {**parameters, "command_timeout": 0.0, "max_base_speed": 1.0}
     with (
-        NodeProcess({**parameters, "command_timeout": 0.0}, domain, log) as node,
+        NodeProcess(given, domain, log) as node,
         Watch(domain, node.check) as watch,
     ):
         for name, kind in (("base_wrench", WrenchStamped), ("tip_pose", PoseStamped)):
@@ -80,7 +82,8 @@ def provoke(
         watch.pause(True)
         watch.reset()
         while received < count or steps < 2 * _TURN:
-            speed = _FAST if steps < _TURN else (-_SLOW if (steps // _TURN) % 2 else _SLOW)
+            up = (steps // _TURN) % 2 == 1
+            speed = -_DOWN / (_TURN * period) if steps < _TURN else _SPEED if up else -_SPEED
             command = BaseCommand(velocity=[0.0, 0.0, speed], angular_velocity=[0.0, 0.0, 0.0])
             if steps % _TURN == 0:
                 watch.deliver(command)
@@ -96,7 +99,7 @@ def provoke(
                 return arrived >= _BATCH
 
             watch.until(all_there, _PATIENCE)
-            advance(min(arrived, count - received))
+            advance(max(0, min(arrived, count - received)))
             received += arrived
             watch.step()
             steps += 1

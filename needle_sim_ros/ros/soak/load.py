@@ -19,6 +19,7 @@ from needle_sim_ros.ros.soak.watch import Watch
 from needle_sim_ros.session.reader import read_session
 
 _WARM = 5.0  # s before memory and overruns count
+_PRIORITY = 20.0  # of the clock loop, where the system permits it
 _LATENCY = 15.0  # s of measuring the latency, at most
 _LISTENERS = ("base_wrench", "tissue_markers")
 _LATENCY_TOPICS = ("base_wrench", "~/applied_velocity")
@@ -52,6 +53,7 @@ class Load:
     tick_p50: float = 0.0
     tick_p99: float = 0.0
     lateness_p99: float = 0.0
+    realtime: bool = False
 
 
 def load(
@@ -86,7 +88,7 @@ def load(
     result = Load()
     bags = place / "bags"
     with ExitStack() as stack:
-        given = {**parameters, "record_root": str(bags)}
+        given = {**parameters, "record_root": str(bags), "realtime_priority": _PRIORITY}
         node = stack.enter_context(NodeProcess(given, domain, place / "load.log"))
         watch = stack.enter_context(Watch(domain, node.check))
         watch.wait_ready()
@@ -103,6 +105,7 @@ def load(
                 result.tick_p50 = float(after["tick_p50_ms"]) * 1e-3
                 result.tick_p99 = float(after["tick_p99_ms"]) * 1e-3
                 result.lateness_p99 = float(after["lateness_p99_ms"]) * 1e-3
+                result.realtime = after["priority"].startswith("SCHED_FIFO")
                 result.lost += int(watch.diagnostics()["lost"])
                 said = watch.record(False)
                 if " lost: " in said and not result.lost:
