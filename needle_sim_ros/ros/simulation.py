@@ -26,7 +26,7 @@ from needle_sim_ros.ros.inputs import Inputs
 from needle_sim_ros.ros.outlet import Naming
 from needle_sim_ros.ros.outputs import Outputs
 from needle_sim_ros.ros.plant import Plant
-from needle_sim_ros.ros.priority import take_priority
+from needle_sim_ros.ros.priority import take_priority, uninterrupted
 from needle_sim_ros.ros.services import Services
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
@@ -159,12 +159,12 @@ class Simulation:
         return name
 
     def _make_loop(self) -> ClockLoop:
-        period = self._settings.period
+        period, tick = self._settings.period, uninterrupted(self.plant.tick)
         if not self._node.get_parameter("use_sim_time").value:
-            return ClockLoop(self.plant.tick, period)
+            return ClockLoop(tick, period)
         clock = self._node.get_clock()
         return ClockLoop(
-            self.plant.tick,
+            tick,
             period,
             now=lambda: int(clock.now().nanoseconds),
             sleep=lambda remaining: time.sleep(min(remaining, _CLOCK_POLL)),
