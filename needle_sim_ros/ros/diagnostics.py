@@ -80,7 +80,6 @@ class Diagnostics:
             "ticks": str(ticks),
             "priority": self._priority(),
             "solves": str(plant.statistics.solves),
-            "waits_for_solves": str(plant.statistics.waits),
             "failed_ticks": str(plant.failed_ticks),
             "waits_for_solves": str(plant.waits),
             "factorization": plant.factorization,
