@@ -51,6 +51,10 @@ class Inputs:
         names = (channels.BASE_POSE.name, channels.STAGE_VELOCITY.name)
         return {name: self._node.count_publishers(name) for name in names}
 
+    def stop(self) -> None:
+        """Take no commands any more."""
+        self._receiver.stop()
+
     def destroy(self) -> None:
         """Take the subscriptions off the node."""
         self._receiver.destroy()

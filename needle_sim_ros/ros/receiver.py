@@ -17,7 +17,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-_NEVER = -1  # ns, no timeout
+_LONGEST_WAIT = 500_000_000  # ns, so that a stop is noticed even if waking fails
 
 
 class _OwnThread(CallbackGroup):
@@ -63,12 +63,16 @@ class Receiver:
         self._thread = threading.Thread(target=self._run, name="commands", daemon=True)
         self._thread.start()
 
-    def destroy(self) -> None:
-        """End the thread and take the subscriptions off the node."""
+    def stop(self) -> None:
+        """End the thread: nothing is taken any more."""
         self._stopping = True
         if self._node.context.ok():
             self._wake.trigger_guard_condition()
         self._thread.join()
+
+    def destroy(self) -> None:
+        """End the thread and take the subscriptions off the node."""
+        self.stop()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
@@ -82,7 +86,7 @@ class Receiver:
                 wait_set.add_subscription(subscription.handle)
             wait_set.add_guard_condition(self._wake)
             try:
-                wait_set.wait(_NEVER)
+                wait_set.wait(_LONGEST_WAIT)
             except _rclpy.RCLError:
                 if not context.ok():  # shut down while we waited
                     return

@@ -65,6 +65,7 @@ class Simulation:
         self._node = node
         self._undo: list[Callable[[], object]] = []
         self._lost = 0
+        self._inputs: Inputs | None = None
         self.active = True
         self.priority = "normal"
         try:
@@ -85,8 +86,10 @@ class Simulation:
         self._node.get_logger().info(f"simulating {scene} at {rate:g} Hz")
 
     def close(self) -> None:
-        """Stop ticking and finish the recording; the context must still be valid."""
+        """Stop ticking, take no commands, finish the recording; needs a valid context."""
         self.loop.stop()
+        if self._inputs is not None:
+            self._inputs.stop()
         if self.plant.recording is not None:
             folder, status = self.plant.stop_recording()
             self._node.get_logger().info(
@@ -126,7 +129,7 @@ class Simulation:
             folder = self.plant.start_recording(record.path(), record.split)
             node.get_logger().info(f"recording in {folder}")
             self._undo.append(self.close)
-        inputs = Inputs(node, self.plant, self._warn)
+        self._inputs = inputs = Inputs(node, self.plant, self._warn)
         self._undo.append(inputs.destroy)
         services = Services(
             node,
