@@ -96,6 +96,7 @@ def load(
         with commander:
             with Peer(domain, place / "heard", "subscribers", *_LISTENERS):
                 folder = Path(watch.record(True))
+                watch.wait_heard(_LISTENERS[-1])
                 _pass(watch, _WARM, advance)
                 before, memory, files = _state(watch, node.pid)
                 _pass(watch, steady, advance)
@@ -110,9 +111,8 @@ def load(
                 said = watch.record(False)
                 if " lost: " in said and not result.lost:
                     raise NeedleSimError(f"recording {said}")
-            with Peer(
-                domain, place / "latency", "subscribers", "base_wrench", "~/applied_velocity"
-            ):
+            with Peer(domain, place / "latency", "subscribers", *_LATENCY_TOPICS):
+                watch.wait_heard(_LATENCY_TOPICS[-1])
                 _pass(watch, min(_LATENCY, max(3.0, steady / 4)), advance)
             _crowd(watch, domain, place, crowd, cycles, result, advance)
         after, _, files_after = _state(watch, node.pid)

@@ -32,6 +32,9 @@ class Watch(Driver):
         super().__init__(domain, check)
         self._values: dict[str, str] | None = None
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
+        for subscription in list(self._node.subscriptions):
+            if subscription.topic_name == "/base_wrench":  # one more would change what is measured
+                self._node.destroy_subscription(subscription)
         self.publishers = {
             "base_pose": self._node.create_publisher(PoseStamped, "base_pose", _QUEUE),
             "stage_velocity": self._publisher,
@@ -53,6 +56,12 @@ class Watch(Driver):
     def until(self, condition: Callable[[], bool], patience: float) -> bool:
         """Spin until a condition holds; return whether it did."""
         return self._spin_until(condition, patience)
+
+    def wait_heard(self, topic: str) -> None:
+        """Wait until somebody subscribes to a topic."""
+        name = topic.replace("~", "needle_sim")
+        count = self._node.count_subscribers
+        self._wait(lambda: count(name) > 0, _DIAGNOSTICS, f"nobody subscribed to {topic}")
 
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""
