@@ -73,6 +73,7 @@ setup(
         "console_scripts": [
             "needle_sim = needle_sim_ros.cli:main",
             "sim_node = needle_sim_ros.ros.node:main",
+            "managed_sim_node = needle_sim_ros.ros.node:main_managed",
         ],
     },
     zip_safe=False,

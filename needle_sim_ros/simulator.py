@@ -356,7 +356,16 @@ class Simulator:
         SceneError
             On unknown keys or inadmissible values; nothing is changed then.
         """
-        scene = self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
+        self.take_interaction(
+            self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
+        )
+
+    def take_interaction(self, scene: Scene) -> None:
+        """Take the laws of a scene that differs from this one's in `interaction` only.
+
+        What :meth:`change_interaction` does once the scene is made and validated, which
+        takes longer than a tick.
+        """
         contact = self._contact_laws.change_laws(Laws(scene), self._state.contact)
         self.scene = scene
         self._state = self._state._replace(contact=contact, scene=scene)

@@ -70,15 +70,15 @@ def execute(args: argparse.Namespace) -> int:
     check_picture(args.plot)
     check_new_folder(args.output)
     from needle_sim_ros.session.compare import beyond, compare, read_tolerances
-    from needle_sim_ros.session.content import read_content
-    from needle_sim_ros.session.reader import mcap_path, session_of
+    from needle_sim_ros.session.content import read_contents
+    from needle_sim_ros.session.reader import bag_path, mcap_files, session_of
     from needle_sim_ros.session.replay import replay, replay_ticks
 
     tolerances = read_tolerances(args.tolerance)
     begin = time.perf_counter()
-    file = mcap_path(args.bag)
-    content = read_content(file)
-    session = session_of(file, content)
+    files = mcap_files(args.bag)
+    content = read_contents(files)
+    session = session_of(bag_path(files), content)
     ticks = replay_ticks(session)
     scene = _scene(args, session)
     preparing = time.perf_counter()

@@ -123,7 +123,7 @@ class Planning:
     def _running(self) -> Running:
         way = self._look()
         with self._lock:
-            return Running(way.poses, self._plant.scene.interaction)
+            return Running(way.poses, self._plant.current_scene.interaction)
 
     def _plan(self, request: Any, response: Any) -> Any:
         """Answer with a way of the base; with an empty one and a warning where there is none."""

@@ -54,6 +54,24 @@ def stamped_doubles(frame_id: str, count: int) -> Callable[[int, Sequence[float]
     return encode
 
 
+def read_stamped_doubles(data: bytes, count: int) -> tuple[str, tuple[float, ...]] | None:
+    """Return frame id and numbers of a message that is a header and `count` doubles.
+
+    None for anything but the plain little-endian form with an ASCII frame id and nothing
+    before or after: then a real deserialiser has to say what it is.
+    """
+    if len(data) < 16 or data[:4] != ENCAPSULATION:
+        return None
+    end = 16 + int.from_bytes(data[12:16], "little")
+    begin = end + (4 - end) % 8
+    if len(data) != begin + 8 * count or end == 16 or data[end - 1]:
+        return None
+    frame = data[16 : end - 1]
+    if not frame.isascii() or 0 in frame:
+        return None
+    return frame.decode("ascii"), struct.unpack_from(f"<{count}d", data, begin)
+
+
 def marker_cloud(
     frame_id: str,
 ) -> Callable[[int, NDArray[np.float64], NDArray[np.float64]], bytes]:
