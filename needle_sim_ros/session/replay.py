@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +99,7 @@ def replay_ticks(session: Session) -> list[Tick]:
 
 
 def replay(
-    session: Session,
+    about: Mapping[str, str],
     simulator: Simulator,
     ticks: list[Tick],
     advance: Callable[[], object] = lambda: None,
@@ -108,8 +108,8 @@ def replay(
 
     Parameters
     ----------
-    session : Session
-        Gives tick period and frames.
+    about : mapping
+        The session's metadata: tick period and frames.
     simulator : Simulator
         At its start.
     ticks : list of Tick
@@ -122,7 +122,6 @@ def replay(
     SessionError
         When the simulator refuses a tick, with its time.
     """
-    about = session.metadata
     encoders = channels.output_encoders(about["tissue_frame"], about["base_frame"])
     outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in encoders}
     for tick, observation in _steps(simulator, ticks, float(about["tick_period"])):
