@@ -31,7 +31,7 @@ EXAMPLES = (
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
-_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak")
+_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak", "identify")
 
 
 def available() -> list[str]:

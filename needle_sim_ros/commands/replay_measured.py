@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.commands.options import load_scene, parse_overrides
@@ -37,7 +37,9 @@ def replay_measured(args: argparse.Namespace) -> int:
     with progress(len(experiment), f"replaying {experiment.name}") as bar:
         done = replay(experiment.about, simulator, experiment.ticks(), bar.update)
     check_reached(done.series.process, experiment)
-    differences = agreement(experiment, done.series)
+    # the series has the bag's clock, the measurements count from the start
+    series = replace(done.series, time=experiment.ends[1:])
+    differences = agreement(experiment, series)
     took = time.perf_counter() - begin - preparation
     bad = beyond(differences, {"": float("inf"), **tolerances})
     factor = len(experiment) * experiment.tick_period / took
@@ -60,7 +62,7 @@ def replay_measured(args: argparse.Namespace) -> int:
         from needle_sim_ros.view.files import save_figure
         from needle_sim_ros.view.fit import Curves, fit_figure
 
-        save_figure(fit_figure([Curves.of(experiment, simulated=done.series)], title), args.plot)
+        save_figure(fit_figure([Curves.of(experiment, simulated=series)], title), args.plot)
         print(f"plot: {args.plot}")
     write_json(
         args.json,

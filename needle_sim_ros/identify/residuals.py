@@ -80,7 +80,7 @@ class Residuals:
         pool: Executor,
         advance: Callable[[], object] = lambda: None,
     ) -> None:
-        self.noise, self._pool, self._advance = noise, pool, advance
+        self.noise, self.pool, self._advance = noise, pool, advance
         self.trials = [Trial(only(t.experiment, list(noise)), t.scene) for t in trials]
         for trial in self.trials:
             if not trial.experiment.measured:
@@ -92,7 +92,7 @@ class Residuals:
     def predictions(self, points: Sequence[Values]) -> list[list[Predicted | str]]:
         """Simulate every trial at every point, all at once; by point, then by trial."""
         futures = [
-            [self._pool.submit(predict, t.scene, t.experiment, dict(p)) for t in self.trials]
+            [self.pool.submit(predict, t.scene, t.experiment, dict(p)) for t in self.trials]
             for p in points
         ]
         found = []
