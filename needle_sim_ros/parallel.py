@@ -77,7 +77,7 @@ def executor(workers: int | None = None, dask: str | None = None) -> Iterator[Ex
     if count == 1:
         yield SerialExecutor()
         return
-    with _one_thread_each():
+    with one_thread_each():
         # spawned, not forked: a fork copies the locks of threads that it does not copy
         pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
         try:
@@ -95,7 +95,7 @@ def available_cores() -> int:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Have processes started from here use one thread of linear algebra."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))

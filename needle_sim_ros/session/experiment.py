@@ -127,12 +127,12 @@ class Experiment:
 
     def coarser(self, rate: float) -> Experiment:
         """Return the experiment with ticks joined, so that there are about `rate` a second."""
-        joined = round(1.0 / (rate * self.tick_period))
-        if joined <= 1:
+        count = round(1.0 / (rate * self.tick_period))
+        if count <= 1:
             return self
-        rows = range(0, len(self.motions), joined)
-        motions = [_joined(self.motions[k : k + joined], joined) for k in rows]
-        return replace(self, tick_period=joined * self.tick_period, motions=motions)
+        rows = range(0, len(self.motions), count)
+        motions = [joined(self.motions[k : k + count], count) for k in rows]
+        return replace(self, tick_period=count * self.tick_period, motions=motions)
 
 
 def interpolated(times: Vector, known: Vector, rows: Vector) -> Vector:
@@ -147,7 +147,7 @@ def interpolated(times: Vector, known: Vector, rows: Vector) -> Vector:
     return np.asarray(rows[after - 1] + part * (rows[after] - rows[after - 1]))
 
 
-def _joined(motions: Sequence[Motion], count: int) -> Motion:
+def joined(motions: Sequence[Motion], count: int) -> Motion:
     """Return one motion for several ticks: their mean velocity, or the last pose."""
     if len({m.kind for m in motions}) > 1:
         raise SessionError(
