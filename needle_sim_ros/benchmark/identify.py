@@ -37,16 +37,13 @@ _COARSE = {
     "tissue.mesh.spacing_along": 4e-3,
     "solver.track_spacing": 2e-3,
 }
-# After each stop a slow start: static friction shows for as long as the slip is short.
-_SLOW = {"duration": 2.0, "velocity": [0, 0, -0.5e-3]}
-_ON = {"duration": 14 / 3, "velocity": [0, 0, -3e-3]}
-_STOP = {"duration": 1.0}
+# Back and forth at depth and slowly out: static friction shows while the slip is short.
 _SESSION = [
-    {"duration": 25 / 3, "velocity": [0, 0, -3e-3]},
-    *(3 * [_STOP, _SLOW, _ON]),
+    {"duration": 67 / 3, "velocity": [0, 0, -3e-3]},
+    *(3 * [{"duration": 4.0, "velocity": [0, 0, v]} for v in (1e-3, -1e-3)]),
     {"duration": 2.0},
-    {"duration": 4.0, "velocity": [0, 0, 0.5e-3]},
-    {"duration": 68 / 3, "velocity": [0, 0, 3e-3]},
+    {"duration": 15.0, "velocity": [0, 0, 0.2e-3]},
+    {"duration": 22.0, "velocity": [0, 0, 3e-3]},
 ]
 # held out: another speed and depth, and a stop on the way
 _HELD_OUT = [

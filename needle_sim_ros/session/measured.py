@@ -171,7 +171,7 @@ def with_measured(
         elif role == MARKERS:
             points = mapped.transform.transform().points(rows)
             if flat:
-                points[..., 1] = 0.0
+                points[..., 1] = np.where(np.isnan(points[..., 1]), np.nan, 0.0)
             markers, moved, lost = _displacements(points, time, mapped)
             if lost:
                 notes.append(f"{lost} markers were not seen at rest and are left out.")
