@@ -84,7 +84,7 @@ def test_replay_compares_with_what_was_measured(tmp_path, capsys):
         (["--set", "base.position=[0,0,0.3]", "--rate", "0"], "must be 0.1 to 10000 Hz"),
         (["--topic", "wrench:=/nothing"], "no topic for wrench"),
         (["--topic", "base_pose:=/ati/data"], "base_pose cannot be"),
-        (["--set", "needle.length=0.05"], "never reaches the tissue"),
+        (["--set", "needle.length=0.05", "--set", "protocol=[]"], "never reaches the tissue"),
     ],
 )
 def test_bad_input_is_one_message_and_status_2(options, message, capsys):

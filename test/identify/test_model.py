@@ -23,8 +23,8 @@ SEEN = ("base_force", "base_torque", "tip_position", "marker_displacements")
 @pytest.mark.parametrize("regions", [[], [REGION]], ids=["homogeneous", "with a region"])
 def test_another_modulus_needs_no_other_factorisation(coarse_scene, regions):
     scene = coarse_scene({"tissue.regions": regions, "markers": [[-0.003, 0.0, -0.02]]})
-    values = {"youngs_modulus": 21e3, "friction.kinetic": 12.5, "tip.deviation_angle": 0.05}
-    values |= {"base_offset.z": -1e-3, "needle.youngs_modulus": 3e9}
+    # what would grade the fresh mesh otherwise, base and tip, stays
+    values = {"youngs_modulus": 21e3, "friction.kinetic": 12.5, "needle.youngs_modulus": 3e9}
     similar, factor = ParametricModel(scene).at(values)
     fresh = Simulator(with_values(scene, values))
     commands = [BaseCommand(velocity=[0, 0, -3e-3])] * 60 + [BaseCommand()] * 5
@@ -34,7 +34,7 @@ def test_another_modulus_needs_no_other_factorisation(coarse_scene, regions):
     for name in SEEN:
         scale = factor if name in ("base_force", "base_torque") else 1.0
         largest = np.abs(theirs[name]).max()
-        np.testing.assert_allclose(scale * ours[name], theirs[name], atol=1e-6 * largest)
+        np.testing.assert_allclose(scale * ours[name], theirs[name], rtol=0, atol=1e-9 * largest)
 
 
 def test_newmark_keeps_the_tissue_where_only_laws_change(coarse_scene):
