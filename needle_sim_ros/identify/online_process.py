@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import queue
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from multiprocessing import get_context
@@ -26,7 +27,8 @@ _RESULTS = 8
 class EstimatorProcess:
     """An :class:`~needle_sim_ros.identify.online.Estimator` fed from a loop that must not wait.
 
-    Every method returns at once: entries are put aside in batches that another thread sends.
+    Every method but `close` returns at once: entries are put aside in batches that another
+    thread sends. Commands and measurements may come from different threads.
 
     Parameters
     ----------
@@ -43,6 +45,7 @@ class EstimatorProcess:
     ) -> None:
         context = get_context("spawn")
         self._entries: list[tuple[Any, ...]] = []
+        self._lock = threading.Lock()
         self._tasks: Any = context.Queue(200)
         self._results: Any = context.Queue(_RESULTS)
         self._latest: Estimate | None = None
@@ -69,15 +72,17 @@ class EstimatorProcess:
 
     def reset(self) -> None:
         """Begin an insertion anew."""
-        self._put(("reset",))
-        self._send()
+        with self._lock:
+            self._entries.append(("reset",))
+            self._send()
 
     def _put(self, entry: tuple[Any, ...]) -> None:
         if self.problem:
             return
-        self._entries.append(entry)
-        if len(self._entries) >= _BATCH:
-            self._send()
+        with self._lock:
+            self._entries.append(entry)
+            if len(self._entries) >= _BATCH:
+                self._send()
 
     def _send(self) -> None:
         try:

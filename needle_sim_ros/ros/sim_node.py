@@ -24,6 +24,7 @@ from needle_sim_ros.ros import parameters
 from needle_sim_ros.ros.clock_loop import ClockLoop
 from needle_sim_ros.ros.commands import StageCommands
 from needle_sim_ros.ros.diagnostics import Diagnostics
+from needle_sim_ros.ros.identification import Identification
 from needle_sim_ros.ros.plant import Naming, Plant, Sink
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
@@ -78,6 +79,7 @@ class SimNode(Node):
             self.plant.start_recording(Path(settings.record))
             self.get_logger().info(f"recording in {self.plant.recording}")
         self._lost = 0
+        self.identification = Identification.wanted(self, self.plant)
         self._subscribe()
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(Trigger, "~/step", self._step)
@@ -99,6 +101,8 @@ class SimNode(Node):
     def close(self) -> None:
         """Stop ticking and finish the recording; the context must still be valid."""
         self.loop.stop()
+        if self.identification is not None:
+            self.identification.close()
         if self.plant.recording is not None:
             folder, status = self.plant.stop_recording()
             self.get_logger().info(

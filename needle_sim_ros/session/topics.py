@@ -84,6 +84,18 @@ def read_topic(contents: Iterable[Content], role: str, mapped: TopicMap) -> Topi
     return TopicData(kind, log, stamps, rows)
 
 
+def cloud_points(message: Any, topic: str) -> Vector:
+    """Return the points (m, 3) of a `PointCloud2`, in the order of their ids where it has some.
+
+    Raises
+    ------
+    SessionError
+        When its points have no x y z.
+    """
+    _, rows = _clouds([message], TopicMap(topic))
+    return np.asarray(rows[0])
+
+
 def _check_kind(role: str, topic: str, kinds: set[str], everywhere: set[str]) -> None:
     if not kinds:
         what = "no command topic" if role == COMMAND else f"no topic for {role}"
