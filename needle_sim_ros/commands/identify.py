@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from needle_sim_ros.commands.identify_report import figures_of, fit_data, print_fit
 from needle_sim_ros.commands.options import (
     add_json,
     add_mapping,
@@ -19,12 +20,12 @@ from needle_sim_ros.commands.output import (
     check_picture,
     check_writable,
     progress,
-    table,
     write_json,
 )
 from needle_sim_ros.errors import NeedleSimError
 
 if TYPE_CHECKING:
+    from needle_sim_ros.commands.identify_report import Checks
     from needle_sim_ros.identify.fit import Fit
     from needle_sim_ros.identify.residuals import Trial
 
@@ -104,15 +105,15 @@ def execute(args: argparse.Namespace) -> int:
         fit = fitter.fit()
         checks = _validated(Residuals(held, noise, pool), fit) if held else ([], [], [])
     took = time.perf_counter() - begin
-    figures = _figures(fit, checks, noise)
+    figures = figures_of(fit, checks, noise)
     figures |= {"simulations": fitter.residuals.simulations, "wall_time_s": took}
-    _print(fit, trials, held, checks, notes, figures)
+    print_fit(fit, trials, held, checks, notes, figures)
     if args.output is not None:
         args.output.write_text(with_values(scene, fit.named()).to_yaml(), encoding="utf-8")
         print(f"scene: {args.output}")
     if args.plot is not None:
         _plot(args, trials + held, fit, checks)
-    write_json(args.json, _data(fit, trials, held, checks, notes, figures))
+    write_json(args.json, fit_data(fit, trials, held, checks, notes, figures))
     return 0
 
 
@@ -151,9 +152,6 @@ def _started(trial: Trial, start: dict[str, float]) -> Trial:
     return Trial(trial.experiment, with_values(trial.scene, start))
 
 
-Checks = tuple[list[dict[str, float]], list[dict[str, float]], list[Any]]
-
-
 def _validated(residuals: Any, fit: Fit) -> Checks:
     """Return residuals of held-out bags before and after, and what was predicted."""
     start = {p.name: float(v) for p, v in zip(fit.parameters, fit.start, strict=True)}
@@ -162,81 +160,6 @@ def _validated(residuals: Any, fit: Fit) -> Checks:
         if isinstance(refused, str):
             raise NeedleSimError(f"a held-out bag cannot be followed: {refused}")
     return residuals.rms(before), residuals.rms(after), [before, after]
-
-
-def _figures(fit: Fit, checks: Checks, noise: dict[str, float]) -> dict[str, float]:
-    units = {"force": "n", "torque": "nm", "markers": "m", "tip": "m"}
-    figures: dict[str, float] = {"reduced_chi_square": fit.reduced_chi_square}
-    for name in noise:
-        for label, rows in (
-            ("before", fit.before),
-            ("after", fit.after),
-            ("validation_before", checks[0]),
-            ("validation", checks[1]),
-        ):
-            found = [row[name] for row in rows if name in row]
-            if found:
-                figures[f"{name}_rms_{label}_{units[name]}"] = max(found)
-                if label == "validation":
-                    above = max(0.0, max(found) ** 2 - noise[name] ** 2) ** 0.5
-                    figures[f"{name}_rms_validation_above_noise_{units[name]}"] = above
-    return figures
-
-
-def _print(
-    fit: Fit,
-    trials: list[Trial],
-    held: list[Trial],
-    checks: Checks,
-    notes: list[str],
-    figures: dict[str, float],
-) -> None:
-    rows: list[tuple[str, ...]] = [
-        ("parameter", "start", "value", "standard error", "95 % interval", "unit")
-    ]
-    for k, parameter in enumerate(fit.parameters):
-        low, high = fit.intervals[k]
-        rows.append(
-            (
-                parameter.name,
-                f"{fit.start[k]:.4g}",
-                f"{fit.values[k]:.4g}",
-                f"{fit.standard_errors[k]:.2g}",
-                f"{low:.4g} to {high:.4g}",
-                parameter.unit,
-            )
-        )
-    print(table(rows, title="parameters", align="<>>><<"))
-    names = [p.name for p in fit.parameters]
-    if len(names) > 1:
-        lines = [("", *names)]
-        for name, row in zip(names, fit.correlations, strict=True):
-            lines.append((name, *(f"{value:+.2f}" for value in row)))
-        print(table(lines, title="correlations", align="<" + ">" * len(names)))
-    residual_rows: list[tuple[str, ...]] = [("bag", "quantity", "rms before", "rms after", "unit")]
-    from needle_sim_ros.session.experiment import UNITS
-
-    pairs = [*zip(trials, fit.before, fit.after, strict=True)]
-    pairs += [*zip(held, checks[0], checks[1], strict=True)]
-    for trial, before, after in pairs:
-        name = trial.experiment.name + (" (held out)" if trial in held else "")
-        for quantity, value in after.items():
-            unit = UNITS[quantity]
-            residual_rows.append((name, quantity, f"{before[quantity]:.3g}", f"{value:.3g}", unit))
-    print(table(residual_rows, title="residuals", align="<<>><"))
-    print(
-        f"  reduced chi square {fit.reduced_chi_square:.3g};"
-        f" {figures['simulations']:.0f} simulations in {figures['wall_time_s']:.1f} s"
-    )
-    if fit.inflation > 1.0:
-        print(
-            f"  Residuals are more than noise: variances are multiplied by {fit.inflation:.3g}"
-            " (misfit and its correlation in time)."
-        )
-    for combination in fit.undetermined:
-        print(f"  The data do not tell apart: {combination.text()}")
-    for note in notes:
-        print(f"  {note}")
 
 
 def _plot(args: argparse.Namespace, trials: list[Trial], fit: Fit, checks: Checks) -> None:
@@ -268,48 +191,3 @@ def _plot(args: argparse.Namespace, trials: list[Trial], fit: Fit, checks: Check
     )
     save_figure(fit_figure(curves, "identified", values), args.plot)
     print(f"plot: {args.plot}")
-
-
-def _data(
-    fit: Fit,
-    trials: list[Trial],
-    held: list[Trial],
-    checks: Checks,
-    notes: list[str],
-    figures: dict[str, float],
-) -> dict[str, Any]:
-    names = [p.name for p in fit.parameters]
-    return {
-        "figures": figures,
-        "parameters": {
-            p.name: {
-                "value": fit.values[k],
-                "standard_error": fit.standard_errors[k],
-                "interval": fit.intervals[k],
-                "unit": p.unit,
-                "start": fit.start[k],
-            }
-            for k, p in enumerate(fit.parameters)
-        },
-        "correlations": {
-            a: dict(zip(names, row.tolist(), strict=True))
-            for a, row in zip(names, fit.correlations, strict=True)
-        },
-        "undetermined": [
-            {"combination": c.shares, "standard_error": c.standard_error, "text": c.text()}
-            for c in fit.undetermined
-        ],
-        "variance_inflation": fit.inflation,
-        "bags": _residuals_of(trials, fit.before, fit.after),
-        "validation": _residuals_of(held, checks[0], checks[1]),
-        "notes": notes,
-    }
-
-
-def _residuals_of(
-    trials: list[Trial], before: list[dict[str, float]], after: list[dict[str, float]]
-) -> list[dict[str, Any]]:
-    return [
-        {"bag": t.experiment.name, "rms_before": b, "rms_after": a}
-        for t, b, a in zip(trials, before, after, strict=True)
-    ]
