@@ -23,7 +23,7 @@ from needle_sim_ros.base_motion import (
     unsteady_steps,
 )
 from needle_sim_ros.command import BaseCommand
-from needle_sim_ros.errors import CommandError, SolverError
+from needle_sim_ros.errors import CommandError, SceneError, SolverError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, Step
 from needle_sim_ros.interaction.coupling import Coupling
@@ -35,7 +35,7 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
-from needle_sim_ros.tissue.build import build_tissue, plane_points
+from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
 from needle_sim_ros.tissue.response import ResponseTable
 
 
@@ -70,9 +70,11 @@ class Simulator:
     """
 
     def __init__(self, scene: Scene, progress: Callable[[int, int], None] | None = None) -> None:
-        self.scene = scene
+        self._take(scene, build_tissue(scene, progress))
+
+    def _take(self, scene: Scene, built: BuiltTissue) -> None:
+        self.scene, self._built = scene, built
         self.statistics = Statistics()
-        built = build_tissue(scene, progress)
         self._model, self._factor, self._dynamics = built.model, built.factor, built.dynamics
         self.preparation = built.preparation
         empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
@@ -86,6 +88,26 @@ class Simulator:
         self._start = self._initial()
         self._state = self._start
         self._observation: Observation | None = None
+
+    def variant(self, scene: Scene) -> Simulator:
+        """Return a simulator of a similar scene on this one's factorised tissue; takes no time.
+
+        Needle (but its radius), tip, laws, base and protocol may differ. The mesh stays
+        graded to the planned path of this simulator's scene. The two share what the tissue
+        computes on demand, so they must not tick in different threads.
+
+        Raises
+        ------
+        SceneError
+            When tissue, markers, solver, dimension or needle radius differ.
+        """
+        mine, other = fixed_parts(self.scene), fixed_parts(scene)
+        for key, value in other.items():
+            if mine[key] != value:
+                raise SceneError(key, value, "a variant on the same tissue must keep it")
+        twin = Simulator.__new__(type(self))
+        twin._take(scene, self._built)
+        return twin
 
     def _initial(self) -> Snapshot:
         scene = self.scene

@@ -24,7 +24,7 @@ LAYERS = (
     {"scene", "scene_checks"},
     {"tissue", "needle", "protocol"},
     {"interaction"},
-    {"base_motion", "observation", "simulator", "statistics"},
+    {"base_motion", "observation", "similarity", "simulator", "statistics"},
     {"session", "identify", "planning", "benchmark", "view"},
     {"cli", "commands", "ros"},
 )

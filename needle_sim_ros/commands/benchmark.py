@@ -34,7 +34,16 @@ EXAMPLES = (
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
-_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak", "rollouts", "plan")
+_KNOWN = (
+    "accuracy",
+    "speed",
+    "scaling",
+    "stability",
+    "soak",
+    "rollouts",
+    "plan",
+    "identify",
+)
 _NODE = {
     "speed": ("needle_sim_ros.ros.loop_measurement", "measure_loop"),
     "soak": ("needle_sim_ros.ros.soak.drive", "drive"),

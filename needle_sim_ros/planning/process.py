@@ -104,7 +104,7 @@ class PlanningWorker:
             self._base.reset()
             return self._base
         laws = replace(self._base.scene, interaction=interaction).to_dict()["interaction"]
-        return self._base.variant({"interaction": laws})
+        return self._base.changed({"interaction": laws})
 
     def _led_to(self, running: Running) -> QuickSimulator:
         simulator = self._simulator(running.interaction)

@@ -9,7 +9,6 @@ agrees with steps a hundred times as fine.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -20,13 +19,9 @@ from numpy.typing import ArrayLike
 from needle_sim_ros.base_motion import BaseMotion
 from needle_sim_ros.errors import NeedleSimError, SceneError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.contact import Contact
-from needle_sim_ros.interaction.coupling import Coupling
-from needle_sim_ros.interaction.laws import Laws
-from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.similarity import softened
 from needle_sim_ros.simulator import Simulator, Snapshot
-from needle_sim_ros.statistics import Statistics
 from needle_sim_ros.tissue.build import plane_points
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import planned_path, spacings
@@ -100,13 +95,19 @@ class QuickSimulator(Simulator):
     ------
     NeedleSimError
         When the scene is not quasi-static.
+
+    Attributes
+    ----------
+    force_scale : float
+        What the forces of observations have to be multiplied by, see :meth:`changed`.
     """
+
+    force_scale = 1.0
 
     def __init__(self, scene: Scene, progress: Callable[[int, int], None] | None = None) -> None:
         if scene.solver.dynamics != "quasi_static":
             raise SceneError("solver.dynamics", scene.solver.dynamics, "must be quasi_static")
         super().__init__(scene, progress)
-        self.softer = 1.0  # by how much the tissue is softer than the one factorised
 
     def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, bool]:
         spacing = self.scene.solver.track_spacing
@@ -190,18 +191,11 @@ class QuickSimulator(Simulator):
             return points
         return np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]])
 
-    @property
-    def force_scale(self) -> float:
-        """What the forces of observations have to be multiplied by, see :meth:`variant`."""
-        return 1.0 / self.softer
-
-    def variant(self, changes: Mapping[str, object]) -> QuickSimulator:
+    def changed(self, changes: Mapping[str, object]) -> QuickSimulator:
         """Return a simulator of a changed scene on the same factorised tissue, at its start.
 
-        Needle, tip and laws may change freely. Of the tissue only its Young's modulus:
-        with every force divided by the factor the displacements are the same, so a tissue
-        that is stiffer by a factor is one with a needle and laws weaker by it. Forces then
-        count in units of that factor: ``force_scale``.
+        Needle, tip and laws may change freely; of the tissue only its Young's modulus, as a
+        similar scene. Forces then count in another unit: ``force_scale``.
 
         Raises
         ------
@@ -215,42 +209,15 @@ class QuickSimulator(Simulator):
             if key.startswith(_FIXED):
                 raise NeedleSimError(f"{key}: cannot change without preparing the tissue again")
         scene = self.scene.with_changes(rest) if rest else self.scene
-        softer = self.softer
+        scale = self.force_scale
         if modulus is not None:
             if any(region.youngs_modulus is not None for region in scene.tissue.regions):
                 raise NeedleSimError("tissue.youngs_modulus: regions have moduli of their own")
-            own = scene.tissue.youngs_modulus
             if not (isinstance(modulus, (int, float)) and modulus > 0):
                 raise SceneError("tissue.youngs_modulus", modulus, "must be > 0, in Pa")
-            softer = own / float(modulus)
-            scene = _weakened(scene, softer)
-        twin = copy.copy(self)
-        twin.scene, twin.softer, twin.statistics = scene, softer, Statistics()
-        laws = Laws(scene)
-        coupling = Coupling(self._model, scene.needle.radius)
-        layer = TrackLayer(coupling, laws, self._empty, scene.solver.track_spacing)
-        twin._contact_laws = Contact(scene, layer, laws)
-        twin._start = twin._state = twin._initial()
-        twin._observation = None
+            scale = float(modulus) / scene.tissue.youngs_modulus
+            scene = softened(scene, scale, self.scene)
+        twin = self.variant(scene)
+        assert isinstance(twin, QuickSimulator)
+        twin.force_scale = scale
         return twin
-
-
-def _weakened(scene: Scene, factor: float) -> Scene:
-    """Return the scene with needle and laws `factor` times as strong."""
-    friction, cutting = scene.interaction.friction, scene.interaction.cutting
-    assert scene.interaction.puncture.force is not None
-    changes: dict[str, object] = {
-        "needle.youngs_modulus": scene.needle.youngs_modulus * factor,
-        "interaction.friction.static": friction.static * factor,
-        "interaction.friction.kinetic": friction.kinetic * factor,
-        "interaction.friction.presliding_stiffness": friction.presliding_stiffness * factor,
-        "interaction.cutting.force": cutting.force * factor,
-        "interaction.puncture.force": scene.interaction.puncture.force * factor,
-    }
-    limits = ("friction_static", "friction_kinetic", "cutting_force", "puncture_force")
-    for index, region in enumerate(scene.tissue.regions):
-        for name in limits:
-            value = getattr(region, name)
-            if value is not None:
-                changes[f"tissue.regions.{index}.{name}"] = value * factor
-    return scene.with_changes(changes)

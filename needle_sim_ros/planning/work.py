@@ -65,7 +65,7 @@ def run_trials(scene: Scene, trials: Sequence[Trial]) -> list[Outcome]:
             points[trial.target] = simulator.material_point(trial.target)
         point = None if trial.target is None else points[trial.target]
         try:
-            own = simulator.variant(trial.changes) if trial.changes else simulator
+            own = simulator.changed(trial.changes) if trial.changes else simulator
             outcome = roll_out(own, trial.insertion, point, trial.arrive)
         except NeedleSimError as error:
             outcome = _failed(simulator, str(error))

@@ -68,6 +68,7 @@ class Plant:
         self.failed_ticks = 0
         self.last_failure = ""
         self.last_observation: Observation | None = None
+        self.watch: Callable[[Observation, Motion], object] | None = None  # told of every tick
         self._simulator = Simulator(scene)
         self._encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
         self._motion_encoders = channels.motion_encoders(naming.tissue_frame)
@@ -210,6 +211,8 @@ class Plant:
         observation, motion = stepped
         self._history.add(motion)
         self.total_ticks += 1
+        if self.watch is not None:
+            self.watch(observation, motion)
         self.last_observation = observation
         self.time = observation.time
         self._position = observation.base_position.tolist()

@@ -22,6 +22,7 @@ from needle_sim_ros.ros import interaction_parameters, parameters
 from needle_sim_ros.ros.clock_loop import ClockLoop
 from needle_sim_ros.ros.commands import StageCommands
 from needle_sim_ros.ros.diagnostics import Diagnostics
+from needle_sim_ros.ros.identification import Identification
 from needle_sim_ros.ros.inputs import Inputs
 from needle_sim_ros.ros.outlet import Naming
 from needle_sim_ros.ros.outputs import Outputs
@@ -148,6 +149,10 @@ class Simulation:
         planning = Planning(node, self.plant, settings.tissue_frame)
         self._beside.append(planning.close)
         self._undo.append(planning.close)
+        identification = Identification.wanted(node, self.plant)
+        if identification is not None:
+            self._beside.append(identification.close)
+            self._undo.append(identification.destroy)
         self._diagnostics = Diagnostics(
             self.plant, self.loop, inputs.publishers, lambda: self.priority, name
         )

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
+Packer = Callable[[int, Sequence[float]], bytes]
 _SECOND = 1_000_000_000
 _FLOAT32, _UINT32 = 7, 6  # sensor_msgs/PointField
 
@@ -37,7 +38,7 @@ def clock(stamp: int) -> bytes:
     return struct.pack("<4siI", ENCAPSULATION, *divmod(stamp, _SECOND))
 
 
-def stamped_doubles(frame_id: str, count: int) -> Callable[[int, Sequence[float]], bytes]:
+def stamped_doubles(frame_id: str, count: int) -> Packer:
     """Return a packer of messages that are a header and `count` doubles.
 
     `Vector3Stamped` has 3, `WrenchStamped` and `TwistStamped` 6, `PoseStamped` 7

@@ -127,7 +127,7 @@ def _with_changes(session: Session, ticks: list[Tick]) -> list[Tick]:
 
 
 def replay(
-    session: Session,
+    about: Mapping[str, str],
     simulator: Simulator,
     ticks: list[Tick],
     advance: Callable[[], object] = lambda: None,
@@ -136,8 +136,8 @@ def replay(
 
     Parameters
     ----------
-    session : Session
-        Gives tick period and frames.
+    about : mapping
+        The session's metadata: tick period and frames.
     simulator : Simulator
         At its start.
     ticks : list of Tick
@@ -150,7 +150,6 @@ def replay(
     SessionError
         When the simulator refuses a tick, with its time.
     """
-    about = session.metadata
     encoders = channels.output_encoders(about["tissue_frame"], about["base_frame"])
     outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in encoders}
     for tick, observation in steps(simulator, ticks, float(about["tick_period"])):

@@ -45,7 +45,7 @@ def test_a_variant_is_the_scene_prepared_anew(planning_scene_2d, quick):
     }
     insertion = Insertion.of(planning_scene_2d)
     solves = quick._factor.solves
-    varied = quick.variant(changes)
+    varied = quick.changed(changes)
     point = quick.material_point(PLACE)
     a = roll_out(varied, insertion, point)
     assert quick._factor.solves - solves < 200  # the point's, and off the prepared path
@@ -59,7 +59,7 @@ def test_a_variant_is_the_scene_prepared_anew(planning_scene_2d, quick):
 @pytest.mark.parametrize("key", ["tissue.poisson_ratio", "needle.radius", "solver.track_spacing"])
 def test_a_variant_cannot_change_the_mesh(quick, key):
     with pytest.raises(NeedleSimError, match=key):
-        quick.variant({key: 1e-3})
+        quick.changed({key: 1e-3})
 
 
 def test_material_points_move_as_the_field(planning_scene_2d, quick):
