@@ -242,12 +242,12 @@ def test_laws_that_change_while_running_are_recorded_and_replayed_to_the_bit(cel
     assert Scene.from_yaml(session.scene_text).interaction == before
     ticks = replay_ticks(session)
     assert len(ticks) == 45
-    done = replay(session, Simulator(Scene.from_yaml(session.scene_text)), ticks)
+    done = replay(session.metadata, Simulator(Scene.from_yaml(session.scene_text)), ticks)
     assert_same(session.series, done.series)
     row = 9 if late else 29  # the last tick before the reset
     assert session.series.base_force[row, 2] == wrench
     unchanged = replay(
-        session,
+        session.metadata,
         Simulator(Scene.from_yaml(session.scene_text)),
         [dataclasses.replace(tick, changes=()) for tick in ticks],
     )
@@ -271,7 +271,7 @@ def test_a_recording_that_starts_after_a_reset_has_the_laws_of_then(cell, tmp_pa
     assert Scene.from_yaml(session.scene_text).interaction.cutting.force == 0.6
     assert session.metadata["parameter.interaction.cutting.force"] == "0.6"
     scene = Scene.from_yaml(session.scene_text)
-    done = replay(session, Simulator(scene), replay_ticks(session))
+    done = replay(session.metadata, Simulator(scene), replay_ticks(session))
     assert_same(session.series, done.series)
 
 

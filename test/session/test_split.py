@@ -102,7 +102,7 @@ def test_a_split_session_is_read_and_replayed_as_one(split_session):
     session = read_session(folder)
     assert session.complete and session.path == folder
     np.testing.assert_allclose(session.series.time, DT * np.arange(1, 76))
-    done = replay(session, Simulator(scene), replay_ticks(session))
+    done = replay(session.metadata, Simulator(scene), replay_ticks(session))
     np.testing.assert_array_equal(done.series.base_force, session.series.base_force)
     part = read_session(files[1])  # each file has the scene, too
     assert part.scene_text == session.scene_text
