@@ -48,6 +48,7 @@ class Snapshot(NamedTuple):
     orientation: Vector
     pose: BasePose
     rate: tuple[float, ...] | None  # of the base in the last tick; None when contact changed
+    parts: int  # that the last tick was solved in
     process: Process
     contact: ContactState
     tissue: Any
@@ -121,6 +122,7 @@ class Simulator:
             quaternion,
             BasePose.of(position, quaternion, scene.dimension),
             AT_REST,
+            1,
             Process.FREE,
             self._contact_laws.at_rest(),
             self._dynamics.initial(),
@@ -165,11 +167,11 @@ class Simulator:
         check(self.scene, state.contact, state.pose, state.orientation, motion)
         contact, tissue, pose = state.contact, state.tissue, state.pose
         steps, settling = self._steps(state, motion, dt)
-        advance = 0.0
-        altered = False
+        advance, parts, altered = 0.0, 0, False
         for number in range(steps):
             was = contact.touching, contact.inserted
             halves = 2 if settling else 1
+            parts += halves
             for half in range(1, halves + 1):
                 share = (number + half / halves) / steps
                 here = motion
@@ -195,6 +197,7 @@ class Simulator:
             motion.orientation,
             pose,
             None if altered else motion.rate,
+            parts,
             process,
             contact,
             tissue,

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from needle_sim_ros.base_motion import jumps
 from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.interaction.spreading import coverage
 from needle_sim_ros.interaction.state import ContactState
@@ -70,7 +69,8 @@ def residuals(simulator: Simulator, before: Snapshot | None = None) -> Residuals
     ----------
     simulator : Simulator
     before : Snapshot, optional
-        State a single step earlier; without it the history of friction is not checked.
+        State a tick earlier; without it, or when the tick was divided, the history of friction
+        is not checked.
     """
     state, seen = simulator.snapshot(), simulator.observe()
     contact = state.contact
@@ -163,14 +163,8 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
         return excess
     if past.track.count != track.count or past.active != n or past.depth == 0:
         return excess
-    way = np.linalg.norm(state.position - before.position)
-    turned = np.abs(state.orientation - before.orientation).max()
-    if scene.solver.dynamics == "quasi_static" and (way > 0.49 * track.spacing or turned > 0.02):
-        return excess  # the simulator divides such a tick
-    if scene.solver.dynamics == "newmark" and (
-        state.rate is None or jumps(state.rate, before.rate, scene.needle.length)
-    ):
-        return excess  # taken in halves
+    if state.parts > 1:
+        return excess
     law = scene.interaction.friction
     pose = state.pose
     advance = float(pose.axial @ (pose.origin - before.pose.origin))
