@@ -25,6 +25,8 @@ class Statistics:
         Times that a tick waited for such a solve.
     worst_residual : float
         Largest relative violation of equilibrium seen.
+    last_tick_time : float
+        Duration of the last tick, s.
     """
 
     def __init__(self) -> None:
@@ -33,11 +35,12 @@ class Statistics:
         self.solves = 0
         self.waits = 0
         self.worst_residual = 0.0
+        self.last_tick_time = 0.0
         self._ring = np.zeros(_KEPT)
 
     def tick(self, duration: float, iterations: int, residual: float) -> None:
         """Count a tick of some duration, s."""
-        self._ring[self.ticks % _KEPT] = duration
+        self._ring[self.ticks % _KEPT] = self.last_tick_time = duration
         self.ticks += 1
         self.iterations += iterations
         if residual > self.worst_residual:

@@ -17,6 +17,7 @@ NAMES = (
     "demo",
     "plan",
     "plot",
+    "report",
     "replay",
     "salvage",
     "import_csv",

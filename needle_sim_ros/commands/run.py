@@ -26,7 +26,6 @@ from needle_sim_ros.errors import SessionError
 if TYPE_CHECKING:
     from needle_sim_ros.command import BaseCommand
     from needle_sim_ros.observation import Observation
-    from needle_sim_ros.scene import Scene
     from needle_sim_ros.session.run import Run, Watcher
     from needle_sim_ros.simulator import Simulator
 
@@ -77,7 +76,7 @@ def execute(args: argparse.Namespace) -> int:
         bar = stack.enter_context(progress(len(commands), f"running {scene.name}"))
         watchers: list[Watcher] = [end_of_insertion, lambda command, observation: bar.update()]
         if args.record is not None:
-            watchers.append(stack.enter_context(_recording(args.record, scene, step)))
+            watchers.append(stack.enter_context(_recording(args.record, sim, step)))
         done = run(sim, commands, step, realtime=args.realtime, watchers=watchers)
     summary = summarise(done.series, step, done.tick_times, done.wall_time)
     print(table(summary_rows(summary), title=scene.name, align="<>"))
@@ -113,15 +112,15 @@ def execute(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _recording(folder: Path, scene: Scene, time_step: float) -> Iterator[Watcher]:
+def _recording(folder: Path, sim: Simulator, time_step: float) -> Iterator[Watcher]:
     """Record every tick; says on stderr what could not be written."""
     from needle_sim_ros.session.motion import Motion
     from needle_sim_ros.session.writer import SessionWriter
 
-    writer = SessionWriter(folder, scene, time_step)
+    writer = SessionWriter(folder, sim.scene, time_step)
 
     def watch(command: BaseCommand, observation: Observation) -> None:
-        writer.observe(observation, Motion.of(command))
+        writer.observe(observation, Motion.of(command), sim.statistics.last_tick_time)
         while writer.status.queued > _QUEUE:  # the run is faster than the disk
             time.sleep(0.01)
 

@@ -225,6 +225,8 @@ class Plant:
             for channel, encode in self._encoders.items()
         ]
         messages.append((applied, partial(encode_motion, stamp, motion)))
+        took = self._simulator.statistics.last_tick_time
+        messages.append((channels.TICK_TIME, partial(cdr.float64, took)))
         self._outlet.emit(stamp, messages)
 
     def _step(self) -> tuple[Observation, Motion] | None:

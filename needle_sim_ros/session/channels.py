@@ -50,9 +50,10 @@ PROCESS = Channel("process", "process", "std_msgs/msg/String")
 STAGE_POSE = Channel("stage_pose", "~/stage_pose", "geometry_msgs/msg/PoseStamped")
 FRICTION_FORCE = Channel("friction_force", "~/friction_force", "std_msgs/msg/Float64")
 TIP_FORCE = Channel("tip_force", "~/tip_force", "std_msgs/msg/Float64")
+TICK_TIME = Channel("tick_time", "~/tick_time", "std_msgs/msg/Float64")  # wall clock, s
 
 INPUTS = (BASE_POSE, STAGE_VELOCITY)
-RECORDS = (APPLIED_POSE, APPLIED_VELOCITY, EVENTS, DIAGNOSTICS)
+RECORDS = (APPLIED_POSE, APPLIED_VELOCITY, EVENTS, TICK_TIME, DIAGNOSTICS)
 OUTPUTS = (
     TIP_DEFLECTION,
     TIP_POSE,

@@ -60,6 +60,8 @@ class Session:
         Log time in ns, role and decoded message of every command received.
     series : Series
         The outputs.
+    tick_times : (k,) array
+        Wall-clock time of the recorded ticks, s; empty where they were not recorded.
     """
 
     path: Path
@@ -72,6 +74,7 @@ class Session:
     events: list[tuple[int, dict[str, Any]]]
     inputs: list[tuple[int, str, Any]]
     series: Series
+    tick_times: Array
 
 
 def mcap_files(path: str | Path) -> list[Path]:
@@ -195,7 +198,16 @@ def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
         events=events,
         inputs=_inputs(content, about),
         series=series_of(recorded_messages(content, about), scene_text, about),
+        tick_times=_tick_times(content, about),
     )
+
+
+def _tick_times(content: Content, about: Mapping[str, str]) -> Array:
+    topic = about.get(f"topic.{channels.TICK_TIME.role}")  # older sessions have none
+    if topic is None:
+        return np.zeros(0)
+    found = content.of_topic(topic, channels.TICK_TIME.type)
+    return decode.float64s([data for *_, data in found])
 
 
 def _inputs(content: Content, about: Mapping[str, str]) -> list[tuple[int, str, Any]]:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a recorded session at one instant, simulated again."""
+"""The states of a recorded session, simulated again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -43,8 +43,8 @@ def ticks_until(session: Session, tick: int) -> list[Tick]:
 
 
 def resimulate(
-    session: Session, ticks: Sequence[Tick], advance: Callable[[], object] = lambda: None
-) -> tuple[Simulator, Observation]:
+    session: Session, ticks: Sequence[Tick]
+) -> Iterator[tuple[Tick, Simulator, Observation]]:
     """Simulate a session's scene through some of its ticks.
 
     Parameters
@@ -53,13 +53,11 @@ def resimulate(
         Gives scene and tick period.
     ticks : sequence of Tick
         From the start; see :func:`ticks_until`.
-    advance : callable
-        Called after each tick.
 
-    Returns
-    -------
-    Simulator, Observation
-        In the state after the last tick, and what can be seen there.
+    Yields
+    ------
+    Tick, Simulator, Observation
+        Each tick, the simulator in the state after it, and what can be seen there.
 
     Raises
     ------
@@ -69,6 +67,5 @@ def resimulate(
     from needle_sim_ros.simulator import Simulator
 
     sim = Simulator(Scene.from_yaml(session.scene_text))
-    for _ in steps(sim, ticks, float(session.metadata["tick_period"])):
-        advance()
-    return sim, sim.observe()
+    for tick, observation in steps(sim, ticks, float(session.metadata["tick_period"])):
+        yield tick, sim, observation

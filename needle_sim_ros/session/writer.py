@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session import channels
+from needle_sim_ros.session import cdr, channels
 from needle_sim_ros.session.about import versions
 from needle_sim_ros.session.bag import NO_SPLIT, Bag, Split, Topic
 from needle_sim_ros.session.channels import Channel
@@ -126,12 +126,16 @@ class SessionWriter:
         """Record that something happened between ticks, as JSON on the events topic."""
         self.write(time, [(channels.EVENTS, channels.event_message(event, **details))])
 
-    def observe(self, observation: Observation, motion: Motion) -> None:
-        """Record all outputs of a tick and the motion it applied."""
+    def observe(
+        self, observation: Observation, motion: Motion, tick_time: float | None = None
+    ) -> None:
+        """Record all outputs of a tick, the motion it applied, and how long it took, s."""
         time = nanoseconds(observation.time)
         messages = [(c, encode(time, observation)) for c, encode in self._encoders.items()]
         channel, encode_motion = self._motion_encoders[motion.kind]
         messages.append((channel, encode_motion(time, motion)))
+        if tick_time is not None:
+            messages.append((channels.TICK_TIME, cdr.float64(tick_time)))
         self.write(time, messages)
 
     def close(self, timeout: float = 5.0) -> RecorderStatus:

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib import patheffects
 from matplotlib.patches import Polygon
 
+from needle_sim_ros.tissue.material import in_region
 from needle_sim_ros.view.style import BLACK, COLOUR_MAP, MM, ORANGE
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ class Section:
         Needle's radius and the length of its bevel, m.
     bevel_side : float
         +1 when the sharp edge is on the +x side, else -1.
+    regions : (r, p, q) bool array
+        Which material points lie in each of the scene's regions.
+    name : str
+        What it is called.
     """
 
     time: float
@@ -62,6 +67,8 @@ class Section:
     radius: float
     bevel: float
     bevel_side: float
+    regions: NDArray[np.bool_]
+    name: str = "Section"
 
 
 def take_section(sim: Simulator, observation: Observation) -> Section:
@@ -87,6 +94,11 @@ def take_section(sim: Simulator, observation: Observation) -> Section:
         radius=scene.needle.radius,
         bevel=2 * scene.needle.radius / math.tan(tip.bevel_angle),
         bevel_side=-1.0 if tip.deviation_angle * math.cos(tip.roll) < 0 else 1.0,
+        regions=np.array(
+            [in_region(scene, region, np.moveaxis(grid, 2, 0)) for region in scene.tissue.regions],
+            dtype=bool,
+        ).reshape(-1, *grid.shape[:2]),
+        name="Section" if scene.dimension == 2 else "Cut y = 0",
     )
 
 
@@ -94,8 +106,18 @@ def _samples(length: float) -> int:
     return int(min(_MOST, max(8, round(length / _FINEST)))) + 1
 
 
-def draw_section(ax: Axes, section: Section) -> None:
-    """Draw the deformed section at true scale, coloured by displacement magnitude."""
+def draw_section(ax: Axes, section: Section, largest: float | None = None) -> None:
+    """Draw the deformed section at true scale, coloured by displacement magnitude.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw into.
+    section : Section
+        What to draw.
+    largest : float, optional
+        Displacement at the end of the colour scale, m; by default the section's largest.
+    """
     # beside an organ there is no tissue: nothing is drawn there
     size = np.ma.masked_invalid(MM * np.linalg.norm(section.displacement, axis=2))
     placed = MM * (section.grid + np.nan_to_num(section.displacement))
@@ -107,9 +129,11 @@ def draw_section(ax: Axes, section: Section) -> None:
         shading="gouraud",
         cmap=COLOUR_MAP,
         vmin=0.0,
+        vmax=None if largest is None else MM * largest,
         rasterized=True,
     )
     _draw_grid_lines(ax, section.grid, np.where(outside, np.nan, placed))
+    _draw_regions(ax, section.regions, placed)
     if len(section.markers):
         x, z = MM * section.markers[:, [0, 2]].T
         dot: dict[str, Any] = {"markersize": 3.5, "markerfacecolor": "white"}
@@ -134,12 +158,27 @@ def draw_section(ax: Axes, section: Section) -> None:
     ax.set_aspect("equal")
     ax.set_xlabel("x (mm)")
     ax.set_ylabel("z (mm)")
-    ax.set_title(f"Section at {section.time:.1f} s, {MM * section.insertion_depth:.1f} mm deep")
+    ax.set_title(
+        f"{section.name} at {section.time:.1f} s, {MM * section.insertion_depth:.1f} mm deep"
+    )
     ax.set_anchor("W")
     # Inset, so that it stays beside the section wherever the layout puts that.
     bar = ax.figure.colorbar(mesh, cax=ax.inset_axes((1.02, 0.0, 0.035, 0.82)))
     bar.set_label("displacement (mm)")
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3, borderaxespad=0.0)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=4, borderaxespad=0.0)
+
+
+def _draw_regions(ax: Axes, regions: NDArray[np.bool_], placed: Array) -> None:
+    """Outline the regions where the deformation has taken them."""
+    drawn = False
+    for mask in regions:
+        if mask.any() and not mask.all():
+            dashes: Any = [(0, (1, 1.5))]
+            style: dict[str, Any] = {"colors": "white", "linestyles": dashes, "linewidths": 1.3}
+            ax.contour(placed[..., 0], placed[..., 2], mask.astype(float), [0.5], **style)
+            drawn = True
+    if drawn:  # a contour has no entry in a legend; grey stands for white there
+        ax.plot([], [], color="0.55", linestyle=(0, (1, 1.5)), linewidth=1.3, label="regions")
 
 
 def _draw_grid_lines(ax: Axes, grid: Array, placed: Array) -> None:

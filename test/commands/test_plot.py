@@ -6,11 +6,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 from mcap.reader import make_reader
 
 from needle_sim_ros.cli import main
-from needle_sim_ros.commands.session_plot import _section
+from needle_sim_ros.commands.session_plot import film_rows, sections_of
 from needle_sim_ros.session.reader import read_session
+from needle_sim_ros.session.run import insertion_end
 
 
 def test_plot_of_a_recording(recorded, tmp_path, capsys):
@@ -23,12 +25,14 @@ def test_plot_of_a_recording(recorded, tmp_path, capsys):
     summary = json.loads(result.read_text())["summary"]
     for name in ("peak_base_force_n", "puncture_force_n", "max_tip_deflection_m", "ticks"):
         assert summary[name] == run[name], name
-    assert summary["tick_median_s"] is None  # a recording does not tell
+    assert summary["tick_median_s"] == pytest.approx(run["tick_median_s"], rel=0.5)
 
 
 def test_the_section_is_the_recorded_one_simulated_again(recorded):
     session = read_session(recorded / "bag")
-    section, note = _section(session)
+    sections, note = sections_of(session, film_rows(session, 3))
+    assert len(sections) == 4  # start, middle, end, and the end of the insertion
+    section = sections[insertion_end(session.series)]
     assert "0 µm from the recorded one" in note
     row = int(np.argmin(np.abs(session.series.time - section.time)))
     assert session.series.process[row : row + 2] == ["insertion", "hold"]

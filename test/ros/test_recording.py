@@ -254,7 +254,7 @@ def test_laws_that_change_while_running_are_recorded_and_replayed_to_the_bit(cel
     assert abs(unchanged.series.base_force[row, 2] - wrench) > 0.1
     until = ticks_until(session, len(session.series) - 1)
     assert len(until) == 15
-    simulator, observation = resimulate(session, until)
+    *_, (_, simulator, observation) = resimulate(session, until)
     np.testing.assert_array_equal(observation.base_force, session.series.base_force[-1])
     assert simulator.scene.interaction == sim.plant.current_scene.interaction
 
