@@ -67,7 +67,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *share("config", "bags"),
+        *share("config", "bags", "launch"),
     ],
     entry_points={
         "console_scripts": [

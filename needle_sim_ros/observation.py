@@ -182,21 +182,26 @@ class Observation:
     @cached_property
     def marker_displacements(self) -> Vector:
         """Displacements of the markers, tissue frame, (n, 3), m."""
-        contact = self._contact
         if len(self._markers) == 0:
             return np.zeros((0, 3))
-        if contact.track is None:
-            table = self._empty
-            forces = np.zeros((0, len(self._pose.axial)))
-        else:
-            table, forces = contact.track.table, contact.forces
-        moved = self._dynamics.at_readers(self._tissue, table, forces)
+        moved = self._dynamics.at_readers(self._tissue, *self.loaded())
         return self._world(moved.reshape(len(self._markers), -1))
 
     @cached_property
     def marker_positions(self) -> Vector:
         """Positions of the markers now, tissue frame, (n, 3), m."""
         return np.asarray(self._markers + self.marker_displacements)
+
+    def tissue_field(self) -> Vector:
+        """Return the displacement of all nodes of the mesh, (nodes, d), m; costs a solve."""
+        return self._dynamics.everywhere(self._tissue, *self.loaded())
+
+    def loaded(self) -> tuple[ResponseTable, Vector]:
+        """Return the rows on which the tissue is loaded, and the forces on them, (n, d), N."""
+        contact = self._contact
+        if contact.track is None:
+            return self._empty, np.zeros((0, len(self._pose.axial)))
+        return contact.track.table, contact.forces
 
     @cached_property
     def needle_points(self) -> Vector:

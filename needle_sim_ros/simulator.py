@@ -286,13 +286,18 @@ class Simulator:
             )
         return self._observation
 
-    def tissue_displacement(self, points: ArrayLike) -> Vector:
+    def tissue_displacement(
+        self, points: ArrayLike, observation: Observation | None = None
+    ) -> Vector:
         """Return the displacement of reference points of the tissue.
 
         Parameters
         ----------
         points : array_like, shape (n, 3)
             Tissue frame, m; a 2D scene ignores y.
+        observation : Observation, optional
+            Of this simulator: the displacement at that instant instead of now. It may be
+            asked for from another thread while this one ticks.
 
         Returns
         -------
@@ -301,19 +306,12 @@ class Simulator:
         """
         where = plane_points(np.asarray(points, dtype=float), self.scene.dimension)
         nodes, values, inside = self._model.shape_functions(where)
-        table, forces = self._loaded()
-        field = self._dynamics.everywhere(self._state.tissue, table, forces)
+        field = (observation or self.observe()).tissue_field()
         moved = np.einsum("kb,kbd->kd", values, field[nodes])
         moved[~inside] = np.nan
         if self.scene.dimension == 3:
             return np.asarray(moved)
         return np.column_stack([moved[:, 0], np.where(inside, 0.0, np.nan), moved[:, 1]])
-
-    def _loaded(self) -> tuple[ResponseTable, Vector]:
-        contact = self._state.contact
-        if contact.track is None:
-            return self._empty, np.zeros((0, self.scene.dimension))
-        return contact.track.table, contact.forces
 
     # ------------------------------------------------------------- branching, repeating
     def snapshot(self) -> Snapshot:

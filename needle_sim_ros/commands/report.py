@@ -128,7 +128,7 @@ def _add_comparison(page: Page, session: Session) -> dict[str, Any]:
     ticks = replay_ticks(session)
     simulator = Simulator(Scene.from_yaml(session.scene_text))
     with progress(len(ticks), "replaying") as bar:
-        done = replay(session, simulator, ticks, bar.update)
+        done = replay(session.metadata, simulator, ticks, bar.update)
     differences, compared = compare(session.series, done.series)
     page.heading("Replay")
     page.paragraph(

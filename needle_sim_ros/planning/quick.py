@@ -164,7 +164,7 @@ class QuickSimulator(Simulator):
 
     def position_of(self, point: MaterialPoint) -> Vector:
         """Return where a material point is now, tissue frame, (3,), m."""
-        table, forces = self._loaded()
+        table, forces = self.observe().loaded()
         if table.count == 0:
             return point.place
         loads = table.loads(forces)

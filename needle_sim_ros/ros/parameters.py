@@ -52,6 +52,9 @@ _NUMBERS = {
     "realtime_priority": _Number(
         0.0, 0.0, 99.0, False, "Priority of the clock loop (SCHED_FIFO, 1 to 99); 0: normal."
     ),
+    "visualization_rate": _Number(
+        20.0, 0.1, 20.0, True, "Pictures for viewers a second at most, Hz; only when subscribed."
+    ),
     "record_split_size": _Number(
         0.0, 0.0, 1e15, True, "Sessions go on in another file at this size, bytes; 0: never."
     ),

@@ -28,6 +28,7 @@ from needle_sim_ros.session.writer import nanoseconds
 from needle_sim_ros.simulator import Simulator
 
 if TYPE_CHECKING:
+    from needle_sim_ros.geometry import Vector
     from needle_sim_ros.observation import Observation
     from needle_sim_ros.statistics import Statistics
 
@@ -123,6 +124,10 @@ class Plant:
     def position(self) -> Numbers:
         """Where the base is, tissue frame, m."""
         return self._position
+
+    def tissue_displacement(self, points: Vector, seen: Observation) -> Vector:
+        """Return displacements at an instant seen before, (n, 3), m; may run beside a tick."""
+        return self._simulator.tissue_displacement(points, seen)
 
     def tick(self) -> None:
         """Advance by one period."""

@@ -30,6 +30,7 @@ from needle_sim_ros.ros.planning import Planning
 from needle_sim_ros.ros.plant import Plant
 from needle_sim_ros.ros.priority import take_priority, uninterrupted
 from needle_sim_ros.ros.services import Services
+from needle_sim_ros.ros.visualization import Visualization
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
 
@@ -51,6 +52,7 @@ class Simulation:
     plant : Plant
     loop : ClockLoop
     outputs : Outputs
+    visualization : Visualization
     priority : str
         With which the clock loop runs.
     active : bool
@@ -149,6 +151,9 @@ class Simulation:
         planning = Planning(node, self.plant, settings.tissue_frame)
         self._beside.append(planning.close)
         self._undo.append(planning.close)
+        self.visualization = Visualization(node, self.plant, settings.tissue_frame)
+        self._beside.append(self.visualization.close)
+        self._undo.append(self.visualization.destroy)
         identification = Identification.wanted(node, self.plant)
         if identification is not None:
             self._beside.append(identification.close)
