@@ -24,6 +24,7 @@ NAMES = (
     "identify",
     "scene",
     "benchmark",
+    "completion",
 )
 
 
