@@ -38,6 +38,8 @@ setup(
         "PyYAML>=6.0",
         "tqdm>=4.66",
         "matplotlib>=3.6",
+        # Films as GIF; matplotlib brings it anyway.
+        "Pillow>=9.0",
         # Ranges, not pins: rosdep brings the newest into a workspace that others share.
         "mcap>=1.6,<2",
         "mcap-ros2-support>=0.6,<1",

@@ -2,6 +2,7 @@
 """The package as a whole: its metadata agree, everything imports, imports point one way."""
 
 import ast
+import functools
 import importlib
 import pkgutil
 import re
@@ -62,6 +63,7 @@ def imported_parts(file: Path) -> set[str]:
     return {name[1] for name in names if name[0] == "needle_sim_ros" and len(name) > 1} & set(RANK)
 
 
+@functools.cache
 def import_graph() -> dict[str, set[str]]:
     graph: dict[str, set[str]] = {}
     for part in top_level_parts():
@@ -96,7 +98,7 @@ def test_imports_point_one_way(part):
 
 
 def test_imports_make_no_circle():
-    graph = import_graph()
+    graph = dict(import_graph())
     while graph:
         leaves = [part for part, needed in graph.items() if not needed & set(graph)]
         assert leaves, f"circular imports among {sorted(graph)}"

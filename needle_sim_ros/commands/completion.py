@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Print the script."""
     check_writable(args.json)
-    from needle_sim_ros.cli import build_parser
+    from needle_sim_ros.commands.parser import build_parser
     from needle_sim_ros.resources import scene_names
 
     words = completions(build_parser(), scene_names())
