@@ -59,7 +59,7 @@ class TissueModel:
     @cached_property
     def mass(self) -> sp.csr_array:
         """Consistent mass matrix on the free unknowns, kg."""
-        full = sp.csr_array(sp.kron(self._scalar_mass, sp.eye_array(self.dimension)))
+        full = sp.csr_array(sp.kron(self._scalar_mass, np.eye(self.dimension)))
         return sp.csr_array(full[self.free][:, self.free])
 
     @property

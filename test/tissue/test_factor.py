@@ -25,8 +25,8 @@ PARDISO = pytest.param(
 
 def laplacian(size=40):
     """Of a grid of size x size points, held at the rim; symmetric positive definite."""
-    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(size, size))
-    return sp.csr_array(sp.kron(line, sp.eye_array(size)) + sp.kron(sp.eye_array(size), line))
+    line = sp.diags([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(size, size))
+    return sp.csr_array(sp.kron(line, sp.eye(size)) + sp.kron(sp.eye(size), line))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_same_bits_each_time(matrix, order, library):
 
 
 def test_indefinite_matrices_are_refused(matrix, order):
-    shifted = sp.csr_array(matrix - 4.0 * sp.eye_array(matrix.shape[0]))
+    shifted = sp.csr_array(matrix - 4.0 * sp.csr_array(sp.eye(matrix.shape[0])))
     factor = Factor(shifted, order)
     factor.put_last(LAST)
     with pytest.raises(SolverError, match="not positive definite"):

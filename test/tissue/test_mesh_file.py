@@ -175,7 +175,7 @@ def test_tags_stiffen(tmp_path):
     """A load on the tumour moves it less than on the same tissue without it."""
     soft = TissueModel(organ_scene(tmp_path, {"tissue.regions": []}))
     hard = TissueModel(organ_scene(tmp_path))
-    load = soft.sampling(np.array([[0.006, 0.0, -0.03]]))[2].toarray().ravel()
+    load = soft.sampling(np.array([[0.006, 0.0, -0.03]])).toarray()[2]
     work = [load @ Factor(m.stiffness, m.elimination_order).solve(load) for m in (soft, hard)]
     assert work[1] < 0.6 * work[0]
 
