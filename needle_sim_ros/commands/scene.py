@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from needle_sim_ros.scene import Scene
 
 NAME = "scene"
-HELP = "check a scene file"
-DESCRIPTION = "Check a scene file and say in a few lines what it describes."
+HELP = "check a scene file, list the keys of one"
+DESCRIPTION = "Check a scene file and say what it describes, or list the keys that one may have."
 EXAMPLES = (
     "scene check gao2016",
     "scene check my_scene.yaml --set tissue.youngs_modulus=30e3",
     "scene check gao2016 --json scene.json",
+    "scene keys",
 )
 
 
@@ -35,14 +36,37 @@ def configure(parser: argparse.ArgumentParser) -> None:
     check.add_argument("scene", metavar="SCENE", help="a YAML file, or a scene of this package")
     add_set(check)
     add_json(check)
+    keys = actions.add_parser(
+        "keys",
+        help="list every key with its unit, range and default (Markdown)",
+        description="List every key of a scene with its unit, range and default, as Markdown.",
+        epilog=examples(("scene keys",)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_json(keys)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Load the scene, which validates it, and describe it."""
+    """Load the scene, which validates it, and describe it; or list the keys."""
     check_writable(args.json)
+    if args.action == "keys":
+        return _list_keys(args)
     scene = load_scene(args.scene, args.overrides)
     print(table(describe(scene), title=f"{scene.name}: valid"))
     write_json(args.json, {"scene": scene.name, "valid": True, "parameters": scene.to_dict()})
+    return 0
+
+
+def _list_keys(args: argparse.Namespace) -> int:
+    from needle_sim_ros.commands.scene_keys import markdown, sections
+
+    print(markdown(), end="")
+    found = {
+        f"{section.key}.{name}".lstrip("."): {"value": value, "default": default}
+        for section in sections()
+        for name, value, default in section.rows
+    }
+    write_json(args.json, {"keys": found})
     return 0
 
 
