@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command's manners: errors, help, interruption, start-up."""
 
+import argparse
 import os
 import signal
 import subprocess
@@ -89,6 +90,28 @@ def test_help_has_examples_that_parse(capsys, command):
     for example in command.EXAMPLES:
         assert f"  needle_sim {example}\n" in printed
         build_parser().parse_args(example.split())
+
+
+def _leaves(parser):
+    """Return the parsers without subcommands below a parser, by the words that lead there."""
+    below = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    if not below:
+        return {"": parser}
+    return {
+        f"{name} {words}".strip(): leaf
+        for name, inner in below[0].choices.items()
+        for words, leaf in _leaves(inner).items()
+    }
+
+
+def test_every_command_gives_json_and_an_example():
+    from needle_sim_ros.cli import build_parser
+
+    leaves = _leaves(build_parser())
+    assert {"plot", "report", "scene check", "scene keys", "completion"} <= set(leaves)
+    for words, parser in leaves.items():
+        assert "--json" in parser._option_string_actions, words
+        assert "examples:\n  needle_sim " in parser.format_help(), words
 
 
 def test_starting_loads_nothing_heavy():

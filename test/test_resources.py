@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from needle_sim_ros import resources
-from needle_sim_ros.errors import SceneError
+from needle_sim_ros.errors import SceneError, SessionError
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = "name: only_here\n"
@@ -61,3 +61,13 @@ def test_unknown_scene_names_those_there_are():
 
 def test_this_checkout_comes_first():
     assert next(resources.roots()) == ROOT
+
+
+def test_a_session_of_the_package_is_found_by_its_name(tmp_path, monkeypatch):
+    from needle_sim_ros.session.reader import mcap_files
+
+    monkeypatch.chdir(tmp_path)
+    assert [file.name for file in mcap_files("gao2016")] == ["gao2016_0.mcap"]
+    (tmp_path / "gao2016").mkdir()  # what is here comes first
+    with pytest.raises(SessionError, match="no MCAP file"):
+        mcap_files("gao2016")

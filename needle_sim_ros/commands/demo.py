@@ -160,7 +160,8 @@ def _short(path: Path) -> Path:
 def _hints(bag: Path) -> str:
     needle_sim, sim_node = _program("needle_sim"), _program("sim_node")
     return f"""try next:
-  {needle_sim} plot {bag} --output session.svg
+  {needle_sim} plot {bag} --output session.svg --animate insertion.gif
+  {needle_sim} report {bag} --output report.html --replay
   {needle_sim} run gao2016_steel --plot steel.png
   {needle_sim} demo --realtime
   {sim_node} --ros-args -p scene:=gao2016"""

@@ -24,7 +24,6 @@ from needle_sim_ros.ros.plant import Plant
 from needle_sim_ros.session.writer import nanoseconds
 from needle_sim_ros.view.shapes import Shapes
 
-HIGHEST_RATE = 20.0  # Hz; viewers stall on more
 _REST = 3.0  # times what the last one took
 _QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 

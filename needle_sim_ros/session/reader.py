@@ -15,6 +15,7 @@ import numpy as np
 from mcap_ros2.decoder import DecoderFactory
 
 from needle_sim_ros.errors import SessionError
+from needle_sim_ros.resources import bags_directory
 from needle_sim_ros.session import channels, decode
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.content import Content, read_contents
@@ -80,12 +81,16 @@ class Session:
 def mcap_files(path: str | Path) -> list[Path]:
     """Return the MCAP files of a session given by its folder, or by one file alone.
 
+    A bare name that is no file here may be that of a session of this package.
+
     Raises
     ------
     SessionError
         When there is none.
     """
     given = Path(path).expanduser()
+    if not given.exists() and given.name == str(path):
+        given = _shipped(given)
     if given.is_file():
         return [given]
     if not given.is_dir():
@@ -94,6 +99,15 @@ def mcap_files(path: str | Path) -> list[Path]:
     if not files:
         raise SessionError(f"{given}: no MCAP file in this folder")
     return files
+
+
+def _shipped(name: Path) -> Path:
+    """Return the session of this package that has this name, or the name as it is."""
+    try:
+        found = bags_directory() / name
+    except SessionError:
+        return name
+    return found if found.is_dir() else name
 
 
 def _file_order(file: Path) -> tuple[int, str]:

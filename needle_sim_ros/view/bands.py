@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needle_sim_ros.view.style import PROCESSES
+from needle_sim_ros.view.style import PROCESSES, ProcessStyle
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
@@ -39,6 +39,24 @@ def bands(process: Sequence[str]) -> list[Band]:
             found.append(Band(process[first], first, i - 1))
             first = i
     return found
+
+
+def process_lines(process: Sequence[str]) -> Iterator[tuple[slice, ProcessStyle, str | None]]:
+    """Yield how to draw a curve process by process, where the needle is not free.
+
+    Yields
+    ------
+    slice, ProcessStyle, str or None
+        Rows of a stretch, from the last one before it, so that stretches join; its style;
+        its name the first time.
+    """
+    named: set[str] = set()
+    for band in bands(process):
+        if band.process != "free":
+            label = None if band.process in named else band.process
+            named.add(band.process)
+            rows = slice(max(band.first - 1, 0), band.last + 1)
+            yield rows, PROCESSES[band.process], label
 
 
 def draw_bands(ax: Axes, time: NDArray[np.float64], process: Sequence[str]) -> None:

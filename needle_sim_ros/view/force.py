@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needle_sim_ros.view.bands import bands, draw_bands
-from needle_sim_ros.view.style import BLACK, BLUE, MM, PROCESSES, VERMILION
+from needle_sim_ros.view.bands import draw_bands, process_lines
+from needle_sim_ros.view.style import BLACK, BLUE, MM, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,15 +74,10 @@ def draw_force_over_depth(ax: Axes, series: Series) -> None:
     """Draw the base force over the insertion depth, a line per process."""
     ax.axhline(0.0, color="0.4", linewidth=0.7)
     force, depth = axial_force(series), MM * series.insertion_depth
-    named: set[str] = set()
-    for band in bands(series.process):
-        if band.process == "free":
-            continue
-        rows = slice(max(band.first - 1, 0), band.last + 1)
-        style = PROCESSES[band.process]
-        label = None if band.process in named else band.process
-        named.add(band.process)
+    named = False
+    for rows, style, label in process_lines(series.process):
         ax.plot(depth[rows], force[rows], color=style.line, linestyle=style.dashes, label=label)
+        named = True
     ax.set_xlabel("insertion depth (mm)")
     ax.set_ylabel(FORCE_LABEL)
     if named:

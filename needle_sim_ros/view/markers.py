@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needle_sim_ros.view.bands import bands
-from needle_sim_ros.view.style import BLACK, MM, PROCESSES
+from needle_sim_ros.view.bands import process_lines
+from needle_sim_ros.view.style import BLACK, MM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,17 +71,11 @@ def draw_marker_tracks(ax: Axes, series: Series) -> None:
     start = MM * reference[:, [0, 2]]
     path = MM * series.tip_position[series.insertion_depth > 0][:, [0, 2]]
     ax.plot(*path.T, color="0.6", linewidth=0.8, linestyle=(0, (6, 3)), label="tip path")
-    named: set[str] = set()
-    for band in bands(series.process):
-        if band.process == "free":
-            continue
-        rows = slice(max(band.first - 1, 0), band.last + 1)
-        style = PROCESSES[band.process]
-        for marker in range(len(reference)):
-            label = None if band.process in named else band.process
-            named.add(band.process)
-            x, z = drawn[rows, marker].T
-            ax.plot(x, z, color=style.line, linestyle=style.dashes, linewidth=1.2, label=label)
+    for rows, style, label in process_lines(series.process):
+        curves = drawn[rows]
+        look: dict[str, Any] = {"color": style.line, "linestyle": style.dashes, "linewidth": 1.2}
+        lines = ax.plot(curves[..., 0], curves[..., 1], **look)
+        lines[0].set_label(label or "_")
     ax.plot(
         *start.T, "o", color=BLACK, markersize=4, markerfacecolor="white", label="start", zorder=3
     )

@@ -49,7 +49,14 @@ def test_demo_gives_what_the_simulator_gives(recorded, coarse, tmp_path, capsys)
     assert main(["demo", "--output", f"{tmp_path}", *coarse, "--json", f"{result}"]) == 0
     printed = capsys.readouterr().out
     told = json.loads(result.read_text())
-    for words in ("peak base force, insertion", "bag:", "plot:", "try next:", "needle_sim plot"):
+    for words in (
+        "peak base force, insertion",
+        "bag:",
+        "plot:",
+        "try next:",
+        "needle_sim plot",
+        "report.html",
+    ):
         assert words in printed
     assert Path(told["plot"]).read_bytes().startswith(b"\x89PNG")
     demo, run = read_session(told["bag"]), read_session(recorded / "bag")
