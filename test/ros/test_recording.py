@@ -40,6 +40,7 @@ PUBLISHED = {
     "/needle_sim/stage_pose": PoseStamped,
     "/needle_sim/friction_force": Float64,
     "/needle_sim/tip_force": Float64,
+    "/needle_sim/tick_time": Float64,
     "/needle_sim/applied_velocity": TwistStamped,
     "/needle_sim/applied_pose": PoseStamped,
     "/needle_sim/events": String,
