@@ -14,7 +14,9 @@ import numpy as np
 from mcap_ros2.decoder import DecoderFactory
 
 from needle_sim_ros.errors import SessionError
+from needle_sim_ros.scene import Scene
 from needle_sim_ros.session import channels, decode
+from needle_sim_ros.session.attached_mesh import attached_mesh, recorded_scene
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.content import Content, read_content
 from needle_sim_ros.session.history import motions_from_json
@@ -55,6 +57,8 @@ class Session:
         Log time in ns, role and decoded message of every command received.
     series : Series
         The outputs.
+    mesh : (str, bytes) or None
+        Name and content of the mesh file that the tissue is from.
     """
 
     path: Path
@@ -66,6 +70,11 @@ class Session:
     events: list[tuple[int, dict[str, Any]]]
     inputs: list[tuple[int, str, Any]]
     series: Series
+    mesh: tuple[str, bytes] | None = None
+
+    def scene(self) -> Scene:
+        """Return the scene that was recorded, on its recorded mesh."""
+        return recorded_scene(self.scene_text, self.mesh)
 
 
 def mcap_path(path: str | Path) -> Path:
@@ -175,6 +184,7 @@ def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
         events=events,
         inputs=_inputs(content, about),
         series=series_of(recorded_messages(content, about), scene_text, about),
+        mesh=attached_mesh(content.attachments),
     )
 
 

@@ -8,7 +8,6 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.scene import Scene
 from needle_sim_ros.session.motion import Motion
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def resimulate(
     """
     from needle_sim_ros.simulator import Simulator
 
-    sim = Simulator(Scene.from_yaml(session.scene_text))
+    sim = Simulator(session.scene())
     period = float(session.metadata["tick_period"])
     for motion, same in groupby(motions):
         command = motion.command()
