@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction import stretches
 from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
 
@@ -65,6 +67,8 @@ class Track:
         One row per point.
     directions : ndarray, shape (n - 1, d)
         Of the segments, unit vectors.
+    stretches : tuple of Stretch
+        Where the limits at the tip change.
     heading : ndarray, shape (d,), or None
         Unit direction of the cut half a spacing before the tip reached the last segment.
     ahead : NextPoint or None
@@ -77,6 +81,7 @@ class Track:
     kinetic: Vector
     table: ResponseTable
     directions: Vector
+    stretches: tuple[Stretch, ...] = ()
     heading: Vector | None = None
     ahead: NextPoint | None = None
 
@@ -96,6 +101,12 @@ class Track:
         limits = laws.at(point)
         last = self.points[-1:]
         direction = (point - last) / self.spacing  # none where there is no last point
+        begun = self.stretches or stretches.first(laws, point)
+        if self.count:
+            start = (self.count - 1) * self.spacing
+            begun = stretches.onward(
+                begun, laws, start, self.points[-1], point - self.points[-1], self.spacing
+            )
         return Track(
             self.spacing,
             np.vstack([self.points, point]),
@@ -103,14 +114,19 @@ class Track:
             np.append(self.kinetic, limits.kinetic),
             self.table.appended(row),
             np.vstack([self.directions, direction]),
+            begun,
             heading,
         )
 
     def with_limits(self, laws: Laws) -> Track:
         """Return the track with the friction limits of changed laws."""
         limits = [laws.at(point) for point in self.points]
+        begun = stretches.first(laws, self.points[0])
+        for k, (point, piece) in enumerate(zip(self.points, np.diff(self.points, axis=0))):
+            begun = stretches.onward(begun, laws, k * self.spacing, point, piece, self.spacing)
         return replace(
             self,
+            stretches=begun,
             static=np.array([limit.static for limit in limits]),
             kinetic=np.array([limit.kinetic for limit in limits]),
         )
