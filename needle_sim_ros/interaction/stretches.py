@@ -31,7 +31,12 @@ def first(laws: Laws, entry: Vector) -> tuple[Stretch, ...]:
 
 
 def onward(
-    known: tuple[Stretch, ...], laws: Laws, start: float, point: Vector, piece: Vector, length: float
+    known: tuple[Stretch, ...],
+    laws: Laws,
+    start: float,
+    point: Vector,
+    piece: Vector,
+    length: float,
 ) -> tuple[Stretch, ...]:
     """Return the stretches with those that begin on another piece of track.
 

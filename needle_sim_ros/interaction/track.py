@@ -25,6 +25,8 @@ from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
 _FORESEEN = 14
 # ... and after how many new points they are looked at again
 _EVERY = 4
+# where on the pieces before and after a point the friction there is looked up
+_NEAR = (-0.375, -0.125, 0.125, 0.375)
 
 
 class NextPoint(NamedTuple):
@@ -98,9 +100,9 @@ class Track:
     def _with(
         self, point: Vector, row: ResponseRow, laws: Laws, heading: Vector | None = None
     ) -> Track:
-        limits = laws.at(point)
         last = self.points[-1:]
         direction = (point - last) / self.spacing  # none where there is no last point
+        limits = _rubbing(laws, point, self.spacing * direction)
         begun = self.stretches or stretches.first(laws, point)
         if self.count:
             start = (self.count - 1) * self.spacing
@@ -110,8 +112,8 @@ class Track:
         return Track(
             self.spacing,
             np.vstack([self.points, point]),
-            np.append(self.static, limits.static),
-            np.append(self.kinetic, limits.kinetic),
+            np.append(self.static, limits[0]),
+            np.append(self.kinetic, limits[1]),
             self.table.appended(row),
             np.vstack([self.directions, direction]),
             begun,
@@ -120,15 +122,19 @@ class Track:
 
     def with_limits(self, laws: Laws) -> Track:
         """Return the track with the friction limits of changed laws."""
-        limits = [laws.at(point) for point in self.points]
+        pieces = [self.points[:0], *(self.points[1:] - self.points[:-1])[:, None]]
+        pairs = zip(self.points, pieces, strict=True)
+        limits = np.array([_rubbing(laws, point, piece) for point, piece in pairs])
         begun = stretches.first(laws, self.points[0])
-        for k, (point, piece) in enumerate(zip(self.points, np.diff(self.points, axis=0))):
+        for k, (point, piece) in enumerate(
+            zip(self.points[:-1], np.diff(self.points, axis=0), strict=True)
+        ):
             begun = stretches.onward(begun, laws, k * self.spacing, point, piece, self.spacing)
         return replace(
             self,
             stretches=begun,
-            static=np.array([limit.static for limit in limits]),
-            kinetic=np.array([limit.kinetic for limit in limits]),
+            static=limits[:, 0],
+            kinetic=limits[:, 1],
         )
 
     def at(self, depth: float) -> Vector:
@@ -143,6 +149,21 @@ class Track:
 
     def _segment(self, depth: float) -> int:
         return int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
+
+
+def _rubbing(laws: Laws, point: Vector, piece: Vector) -> tuple[float, float]:
+    """Return static and kinetic friction at a point, means over half a piece to either side.
+
+    `piece` (1, d) is the one that ends there; at the entry there is none, (0, d).
+    """
+    if not laws.vary or not len(piece):
+        limits = laws.at(point)
+        return limits.static, limits.kinetic
+    near = [laws.at(point + part * piece[0]) for part in _NEAR]
+    return (
+        sum(limits.static for limits in near) / len(near),
+        sum(limits.kinetic for limits in near) / len(near),
+    )
 
 
 class TrackLayer:

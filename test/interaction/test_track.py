@@ -77,8 +77,10 @@ def test_a_turning_track_converges_with_the_square_of_the_spacing(coarse_scene, 
 
 
 def test_limits_are_those_of_the_place(track):
-    np.testing.assert_array_equal(track.static, [16, 16, 16, 40, 40])  # the layer from 5 mm on
-    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 30, 30])
+    """Means over half a piece to either side: the layer begins at 5 mm, where half of the
+    fourth point's lie."""
+    np.testing.assert_array_equal(track.static, [16, 16, 16, 28, 40])
+    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 22, 30])
 
 
 @pytest.mark.parametrize(
@@ -109,4 +111,4 @@ def test_changed_laws_reach_the_points(coarse_scene, track):
     changed = track.with_limits(Laws(scene))
     np.testing.assert_array_equal(changed.static, [9.0] * 5)
     np.testing.assert_array_equal(changed.kinetic, [7.0] * 5)
-    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 30, 30])
+    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 22, 30])
