@@ -16,7 +16,8 @@ _LENGTH, _GAP, _STEP = 0.080, 1e-4, 0.02
 _DEPTH, _TICKS = 0.016, 60
 _MODES = 12
 _IN = Move(_TICKS, (0.0, 0.0, -(_DEPTH + _GAP) / (_TICKS * _STEP)))
-_ON = Move(15, (0.0, 0.0, -2e-3 / (15 * _STEP)))
+_ON = Move(20, (0.0, 0.0, -1e-3 / (20 * _STEP)))
+_DRILL = Move(20, _ON.velocity, spin=(0.0, 0.0, 2 * math.pi))
 _HOLD = Move(20)
 
 
@@ -25,7 +26,7 @@ def _aside(x: float, y: float) -> Move:
 
 
 def _along(way: float) -> Move:
-    return Move(20, (0.0, 0.0, way / (20 * _STEP)))
+    return Move(40, (0.0, 0.0, way / (40 * _STEP)))
 
 
 def _turned(x: float, y: float, z: float) -> Move:
@@ -34,8 +35,8 @@ def _turned(x: float, y: float, z: float) -> Move:
 
 
 _MOTIONS: dict[str, tuple[Move, ...]] = {
-    "rolled bevel": (_IN, _HOLD, _ON),
-    "spin": (_IN, _turned(0, 0, math.pi), _ON, _turned(0, 0, -0.5 * math.pi), _HOLD),
+    "rolled bevel": (_IN, _ON, _HOLD),
+    "spin": (_IN, _DRILL, _turned(0, 0, math.pi), _turned(0, 0, -0.5 * math.pi), _HOLD),
     "lateral": (_IN, _aside(1e-3, 0), _aside(0, 1e-3), _aside(-2e-3, -1e-3), _HOLD, _ON),
     "reversals": (_IN, _along(4e-3), _along(-2e-3), _along(1e-3), _along(-4e-3), _HOLD),
     "tilt": (_IN, _turned(0.01, 0, 0), _turned(0, 0.01, 0), _turned(-0.02, 0, 0), _HOLD),

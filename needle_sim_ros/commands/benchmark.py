@@ -26,13 +26,16 @@ EXAMPLES = (
     "benchmark speed --quick",
     "benchmark speed gao2016_steel --json speed.json",
     "benchmark accuracy bevel_gelatin_22g --quick",
+    "benchmark tips",
     "benchmark accuracy --quick --plot pareto.png",
     "benchmark accuracy --quick --budget 0.5ms",
     "benchmark accuracy --quick --error 1%",
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
-_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak")
+_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak", "tips")
+# what a benchmark runs on unless told: the scene that it is about
+_SCENES = {"tips": "bevel_gelatin_22g"}
 
 
 def available() -> list[str]:
@@ -94,7 +97,9 @@ def execute(args: argparse.Namespace) -> int:
     _check_accuracy_options(args)
     if args.positional is not None and args.scene is not None:
         raise NeedleSimError(f"--scene {args.scene}: a scene is given already, {args.positional}")
-    scene = load_scene(args.positional or args.scene or "gao2016", args.overrides)
+    scene = load_scene(
+        args.positional or args.scene or _SCENES.get(args.benchmark, "gao2016"), args.overrides
+    )
     benchmark = getattr(import_module(f"{_PACKAGE}.{args.benchmark}"), args.benchmark)
     with progress(1, f"benchmark {args.benchmark}", unit="step") as bar:
 
