@@ -133,7 +133,7 @@ def _row(result: CellResult) -> Row:
     cell = result.cell
     levels = {name: value for name, value in cell.level.items() if name != "dynamics"}
     return {
-        "section": f"cells in {cell.dimension}D; friction, cutting and presliding per E x thickness",
+        "section": f"cells in {cell.dimension}D; friction, cutting, presliding per E x thickness",
         "cell": cell.number,
         "motion": cell.motion,
         "dynamics": cell.dynamics,

@@ -21,8 +21,8 @@ from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
 
-# track spacings ahead of the tip for which responses are prepared
-_FORESEEN = 14
+# how far ahead of the tip responses are prepared: track spacings, and at least so many m
+_FORESEEN, _AT_LEAST = 14, 0.03
 # ... and after how many new points they are looked at again
 _EVERY = 4
 # where on the pieces before and after a point the friction there is looked up
@@ -237,7 +237,8 @@ class TrackLayer:
         assert ahead is not None and ahead.point is not None
         if track.count % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
-            nodes = self.coupling.ahead(ahead.point, direction, _FORESEEN * track.spacing)
+            reach = max(_FORESEEN * track.spacing, _AT_LEAST)
+            nodes = self.coupling.ahead(ahead.point, direction, reach)
             track.table.compliance.expect(nodes)
         return replace(track, ahead=ahead._replace(asked=True))
 
