@@ -62,7 +62,7 @@ def cells_3d(quick: bool, first: int) -> list[Cell]:
     first : int
         Number of the first of them.
     """
-    made = []
+    made: list[Cell] = []
     for place, motion in enumerate(_MOTIONS):
         for index, level in enumerate(_LEVELS):
             if not quick or index == place % len(_LEVELS):

@@ -41,8 +41,10 @@ class NextPoint(NamedTuple):
     footprint : Footprint or None
     asked : bool
         Whether what comes after it was asked for.
+    columns : tuple of ndarray
+        The first columns of its row of the response table.
     row : ResponseRow or None
-        Its row of the response table.
+        The row.
     """
 
     turning: Footprint | None
@@ -50,6 +52,7 @@ class NextPoint(NamedTuple):
     heading: Vector | None = None
     footprint: Footprint | None = None
     asked: bool = False
+    columns: tuple[Vector, ...] = ()
     row: ResponseRow | None = None
 
 
@@ -243,16 +246,20 @@ class TrackLayer:
         return replace(track, ahead=ahead._replace(asked=True))
 
     def weigh(self, track: Track) -> Track:
-        """Find out how the tissue answers at the next point, and to forces on it."""
-        ahead = track.ahead
+        """Find out how the tissue answers to forces on the next point, one component more."""
+        ahead, table = track.ahead, track.table
         assert ahead is not None and ahead.footprint is not None
-        return replace(track, ahead=ahead._replace(row=track.table.row(ahead.footprint)))
+        known = ahead.columns
+        if len(known) + 1 == table.compliance.dimension:
+            return replace(track, ahead=ahead._replace(row=table.row(ahead.footprint, known)))
+        known = (*known, table.column(ahead.footprint, len(known)))
+        return replace(track, ahead=ahead._replace(columns=known))
 
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""
         if track.ahead is None or track.ahead.footprint is None:
             track = self.spread(track)
-        if track.ahead is None or track.ahead.row is None:
+        while track.ahead is None or track.ahead.row is None:
             track = self.weigh(track)
         ahead = track.ahead
         assert ahead is not None and ahead.point is not None and ahead.row is not None
