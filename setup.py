@@ -61,6 +61,8 @@ setup(
         ],
         # Faster sparse Cholesky for large meshes: Intel's MKL, 200 MB, x86_64 only.
         "fast": ["pypardiso>=0.4.6"],
+        # `--dask ADDRESS`: work on a cluster through distributed's executor.
+        "dask": ["distributed>=2023.1"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -71,6 +73,7 @@ setup(
         "console_scripts": [
             "needle_sim = needle_sim_ros.cli:main",
             "sim_node = needle_sim_ros.ros.node:main",
+            "managed_sim_node = needle_sim_ros.ros.node:main_managed",
         ],
     },
     zip_safe=False,

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every error this package raises on purpose, under one root."""
 
+from __future__ import annotations
+
 
 class NeedleSimError(Exception):
     """Root of all errors of this package."""
@@ -24,6 +26,10 @@ class SceneError(NeedleSimError):
         self.value = value
         self.allowed = allowed
         super().__init__(f"{key} = {value!r}: {allowed}")
+
+    def __reduce__(self) -> tuple[type[SceneError], tuple[str, object, str]]:
+        """Pickle by the three parts, so that it comes back from another process."""
+        return type(self), (self.key, self.value, self.allowed)
 
 
 class CommandError(NeedleSimError):

@@ -125,24 +125,24 @@ class Observation:
         if contact.active == 0:
             return np.zeros(3)
         # r x F with r = (lateral, s) and F = (-q, -f): moments of both about x and y
-        deflection = self._bent(self._friction_at)
+        held = self._held_bent
+        count = held.shape[1]
         moment = -(contact.lateral @ contact.arclength)  # of lateral forces, per direction
-        moment += deflection @ contact.friction + self._tip_bent * contact.tip
+        moment += held @ contact.friction[:count]
+        # friction on what is ahead of the tip acts at the tip
+        moment += self._tip_bent * (float(contact.friction[count:].sum()) + contact.tip)
         torque = np.zeros(3)
         torque[1] = moment[0]
         if len(moment) == 2:
             torque[0] = -moment[1]
-            held = self._bent(contact.arclength)
             torque[2] = float(held[1] @ contact.lateral[0] - held[0] @ contact.lateral[1])
         return torque
 
-    @property
-    def _friction_at(self) -> Vector:
-        """Arclengths at which friction acts; what is ahead of the tip acts at the tip."""
-        contact, spacing = self._contact, self._scene.solver.track_spacing
-        # from the entry's, which is that of the forces (the depth has gone on since)
-        at = contact.arclength[0] + spacing * np.arange(contact.active)
-        return np.minimum(at, self._scene.needle.length)
+    @cached_property
+    def _held_bent(self) -> Vector:
+        """Lateral deflection where the lateral forces act, shape (d - 1, k), m."""
+        contact, rigidity = self._contact, self._scene.needle.flexural_rigidity
+        return -beam.own_deflection(contact.arclength, contact.lateral, rigidity)
 
     @property
     def friction_force(self) -> float:

@@ -23,7 +23,7 @@ from needle_sim_ros.base_motion import (
     unsteady_steps,
 )
 from needle_sim_ros.command import BaseCommand
-from needle_sim_ros.errors import CommandError, SolverError
+from needle_sim_ros.errors import CommandError, SceneError, SolverError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, Step
 from needle_sim_ros.interaction.coupling import Coupling
@@ -35,7 +35,7 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
-from needle_sim_ros.tissue.build import build_tissue, plane_points
+from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
 from needle_sim_ros.tissue.response import ResponseTable
 
 
@@ -48,6 +48,7 @@ class Snapshot(NamedTuple):
     orientation: Vector
     pose: BasePose
     rate: tuple[float, ...] | None  # of the base in the last tick; None when contact changed
+    parts: int  # that the last tick was solved in
     process: Process
     contact: ContactState
     tissue: Any
@@ -70,9 +71,11 @@ class Simulator:
     """
 
     def __init__(self, scene: Scene, progress: Callable[[int, int], None] | None = None) -> None:
-        self.scene = scene
+        self._take(scene, build_tissue(scene, progress))
+
+    def _take(self, scene: Scene, built: BuiltTissue) -> None:
+        self.scene, self._built = scene, built
         self.statistics = Statistics()
-        built = build_tissue(scene, progress)
         self._model, self._factor, self._dynamics = built.model, built.factor, built.dynamics
         self.preparation = built.preparation
         empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
@@ -87,6 +90,26 @@ class Simulator:
         self._state = self._start
         self._observation: Observation | None = None
 
+    def variant(self, scene: Scene) -> Simulator:
+        """Return a simulator of a similar scene on this one's factorised tissue; takes no time.
+
+        Needle (but its radius), tip, laws, base and protocol may differ. The mesh stays
+        graded to the planned path of this simulator's scene. The two share what the tissue
+        computes on demand, so they must not tick in different threads.
+
+        Raises
+        ------
+        SceneError
+            When tissue, markers, solver, dimension or needle radius differ.
+        """
+        mine, other = fixed_parts(self.scene), fixed_parts(scene)
+        for key, value in other.items():
+            if mine[key] != value:
+                raise SceneError(key, value, "a variant on the same tissue must keep it")
+        twin = Simulator.__new__(type(self))
+        twin._take(scene, self._built)
+        return twin
+
     def _initial(self) -> Snapshot:
         scene = self.scene
         quaternion = np.array(scene.base.orientation, dtype=float)
@@ -99,6 +122,7 @@ class Simulator:
             quaternion,
             BasePose.of(position, quaternion, scene.dimension),
             AT_REST,
+            1,
             Process.FREE,
             self._contact_laws.at_rest(),
             self._dynamics.initial(),
@@ -148,11 +172,11 @@ class Simulator:
         check(self.scene, state.contact, state.pose, state.orientation, motion)
         contact, tissue, pose = state.contact, state.tissue, state.pose
         steps, settling = self._steps(state, motion, dt)
-        advance = 0.0
-        altered = False
+        advance, parts, altered = 0.0, 0, False
         for number in range(steps):
             was = contact.touching, contact.inserted
             halves = 2 if settling else 1
+            parts += halves
             for half in range(1, halves + 1):
                 share = (number + half / halves) / steps
                 here = motion
@@ -178,6 +202,7 @@ class Simulator:
             motion.orientation,
             pose,
             None if altered else motion.rate,
+            parts,
             process,
             contact,
             tissue,
@@ -361,7 +386,16 @@ class Simulator:
         SceneError
             On unknown keys or inadmissible values; nothing is changed then.
         """
-        scene = self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
+        self.take_interaction(
+            self.scene.with_changes({f"interaction.{k}": v for k, v in changes.items()})
+        )
+
+    def take_interaction(self, scene: Scene) -> None:
+        """Take the laws of a scene that differs from this one's in `interaction` only.
+
+        What :meth:`change_interaction` does once the scene is made and validated, which
+        takes longer than a tick.
+        """
         contact = self._contact_laws.change_laws(Laws(scene), self._state.contact)
         self.scene = scene
         self._state = self._state._replace(contact=contact, scene=scene)

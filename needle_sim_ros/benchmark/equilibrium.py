@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from needle_sim_ros.base_motion import commanded, jumps
-from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.interaction.spreading import coverage
 from needle_sim_ros.interaction.state import ContactState
@@ -71,7 +69,8 @@ def residuals(simulator: Simulator, before: Snapshot | None = None) -> Residuals
     ----------
     simulator : Simulator
     before : Snapshot, optional
-        State a single step earlier; without it the history of friction is not checked.
+        State a tick earlier; without it, or when the tick was divided, the history of friction
+        is not checked.
     """
     state, seen = simulator.snapshot(), simulator.observe()
     contact = state.contact
@@ -164,12 +163,8 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
         return excess
     if past.track.count != track.count or past.active != n or past.depth == 0:
         return excess
-    if scene.solver.dynamics == "quasi_static" and _divided(simulator, state, before):
+    if state.parts > 1:
         return excess
-    if scene.solver.dynamics == "newmark" and (
-        state.rate is None or jumps(state.rate, before.rate, scene.needle.length)
-    ):
-        return excess  # taken in halves
     law = scene.interaction.friction
     pose = state.pose
     advance = float(pose.axial @ (pose.origin - before.pose.origin))
@@ -190,14 +185,6 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     wrong[bound == 0] = 0.0
     gap = max(float(np.abs(drive).max()), float(np.abs(contact.moved).max()), _LEAST_GAP)
     return max(excess, float(wrong.max(initial=0.0)) / gap)
-
-
-def _divided(simulator: Simulator, state: Snapshot, before: Snapshot) -> bool:
-    """Whether the simulator took the last tick in several steps, of which only the last is seen."""
-    dt = state.time - before.time
-    command = BaseCommand(position=state.position, orientation=state.orientation)
-    motion = commanded(command, before.position, before.orientation, dt)
-    return simulator._steps(before, motion, dt)[0] > 1
 
 
 def _tip(simulator: Simulator, contact: ContactState) -> float:

@@ -12,7 +12,18 @@ import argparse
 from importlib import import_module
 from typing import Protocol, cast
 
-NAMES = ("run", "demo", "plot", "replay", "salvage", "scene", "benchmark")
+NAMES = (
+    "run",
+    "demo",
+    "plan",
+    "plot",
+    "replay",
+    "salvage",
+    "import_csv",
+    "identify",
+    "scene",
+    "benchmark",
+)
 
 
 class Command(Protocol):

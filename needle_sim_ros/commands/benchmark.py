@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from needle_sim_ros.benchmark.result import BenchmarkResult
 
 NAME = "benchmark"
-HELP = "measure accuracy, speed, scaling, stability"
+HELP = "measure accuracy, speed, scaling, stability; soak the node"
 DESCRIPTION = """Run one of the package's benchmarks and print its table and figures. Times are
 ratios within one run, so that they mean something on any machine."""
 EXAMPLES = (
@@ -30,10 +30,27 @@ EXAMPLES = (
     "benchmark accuracy --quick --plot pareto.png",
     "benchmark accuracy --quick --budget 0.5ms",
     "benchmark accuracy --quick --error 1%",
+    "benchmark rollouts --quick",
+    "benchmark plan --quick",
+    "benchmark soak --minutes 10 --json soak.json",
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
-_KNOWN = ("accuracy", "speed", "scaling", "stability", "soak", "tips")
+_KNOWN = (
+    "accuracy",
+    "speed",
+    "scaling",
+    "stability",
+    "soak",
+    "rollouts",
+    "plan",
+    "identify",
+    "tips",
+)
+_NODE = {
+    "speed": ("needle_sim_ros.ros.loop_measurement", "measure_loop"),
+    "soak": ("needle_sim_ros.ros.soak.drive", "drive"),
+}
 # what a benchmark runs on unless told: the scene that it is about
 _SCENES = {"tips": "bevel_gelatin_22g"}
 
@@ -69,6 +86,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="print the fastest settings with at most this error, e.g. 1%%",
     )
 
+    soak = parser.add_argument_group("soak")
+    soak.add_argument(
+        "--minutes",
+        metavar="N",
+        type=_positive,
+        help="minutes of steady load (default: 10, or with --quick a third of one)",
+    )
+
+
+def _positive(text: str) -> float:
+    return _above_zero(float(text))
+
 
 def _milliseconds(text: str) -> float:
     """Read a time as ms; without a unit it is in ms."""
@@ -94,7 +123,7 @@ def _above_zero(value: float) -> float:
 def execute(args: argparse.Namespace) -> int:
     """Run the benchmark; print and write its result."""
     check_writable(args.json)
-    _check_accuracy_options(args)
+    _check_options(args)
     if args.positional is not None and args.scene is not None:
         raise NeedleSimError(f"--scene {args.scene}: a scene is given already, {args.positional}")
     scene = load_scene(
@@ -107,7 +136,7 @@ def execute(args: argparse.Namespace) -> int:
             bar.total = total
             bar.update(done - bar.n)
 
-        result = benchmark(scene, quick=args.quick, progress=advance, **_node(args.benchmark))
+        result = benchmark(scene, quick=args.quick, progress=advance, **_more(args))
     print(result.text(), end="")
     if args.json is not None:
         result.write_json(args.json)
@@ -116,10 +145,12 @@ def execute(args: argparse.Namespace) -> int:
     return _recommend(result, args)
 
 
-def _check_accuracy_options(args: argparse.Namespace) -> None:
+def _check_options(args: argparse.Namespace) -> None:
     given = [name for name in ("plot", "budget", "error") if getattr(args, name) is not None]
     if given and args.benchmark != "accuracy":
         raise NeedleSimError(f"--{given[0]}: only benchmark accuracy has it")
+    if args.minutes is not None and args.benchmark != "soak":
+        raise NeedleSimError("--minutes: only benchmark soak has it")
     check_picture(args.plot)
 
 
@@ -152,8 +183,10 @@ def _recommend(result: BenchmarkResult, args: argparse.Namespace) -> int:
     return 0
 
 
-def _node(name: str) -> dict[str, Any]:
-    """Return what `speed` measures the node's loop with, where ROS is installed."""
-    if name != "speed" or find_spec("rclpy") is None:
-        return {}
-    return {"node": import_module("needle_sim_ros.ros.loop_measurement").measure_loop}
+def _more(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what a benchmark measures the node with, where ROS is installed."""
+    more: dict[str, Any] = {"minutes": args.minutes} if args.benchmark == "soak" else {}
+    if args.benchmark in _NODE and find_spec("rclpy") is not None:
+        module, function = _NODE[args.benchmark]
+        more["node"] = getattr(import_module(module), function)
+    return more

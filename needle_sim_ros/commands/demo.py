@@ -91,6 +91,7 @@ def _drive(args: argparse.Namespace, output: Path, interruption: Interruption) -
         changed.write_text(scene.to_yaml(), encoding="utf-8")
         source = str(changed)
     parameters: dict[str, object] = {"scene": source, "rate": 1.0 / step}
+    parameters["record_root"] = str(output)
     if not args.realtime:
         parameters["command_timeout"] = 0.0  # each command is known to have arrived
 

@@ -39,6 +39,25 @@ def add_set(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_mapping(parser: argparse.ArgumentParser) -> None:
+    """Add ``--topic ROLE:=NAME`` and ``--mapping FILE`` for bags recorded by others."""
+    parser.add_argument(
+        "--topic",
+        metavar="ROLE:=NAME",
+        action="append",
+        default=[],
+        dest="topics",
+        help="topic of a bag recorded by others: base_pose, wrench, markers or tip_pose;"
+        " may be given several times",
+    )
+    parser.add_argument(
+        "--mapping",
+        metavar="FILE",
+        type=Path,
+        help="YAML with topics, frames, bias and sign of the sensor (doc/replay.md)",
+    )
+
+
 def parse_overrides(pairs: Sequence[str]) -> dict[str, object]:
     """Read ``KEY=VALUE`` pairs, each value as YAML.
 

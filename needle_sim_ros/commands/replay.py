@@ -9,7 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from needle_sim_ros.commands.options import add_json, add_set, load_scene, parse_overrides
+from needle_sim_ros.commands.options import (
+    add_json,
+    add_mapping,
+    add_set,
+    load_scene,
+    parse_overrides,
+)
 from needle_sim_ros.commands.output import (
     check_new_folder,
     check_picture,
@@ -31,17 +37,20 @@ NAME = "replay"
 HELP = "simulate a recorded session again and compare"
 DESCRIPTION = """Simulate a session again, tick by tick, from the commands that were applied, and
 compare every channel with the recording. Exit status 1 when one differs by more than the
-tolerance. With the recorded scene and version all differences are zero."""
+tolerance. With the recorded scene and version all differences are zero. A bag recorded by others
+is simulated from the topics that --topic or --mapping name, and compared with what was measured."""
 EXAMPLES = (
     "replay demo/gao2016_20260101T120000Z",
     "replay session_0.mcap --scene gao2016_steel --plot overlay.svg --tolerance 0.1",
     "replay session --set tissue.youngs_modulus=12000 --tolerance base_force=0.05",
+    "replay experiment --scene gao2016 --topic base_pose:=/robot/ee_pose --topic wrench:=/ati/data",
 )
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a session's folder or MCAP file")
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder or MCAP file")
+    add_mapping(parser)
     parser.add_argument("--scene", metavar="SCENE", help="default: the one in the bag")
     parser.add_argument(
         "--tolerance",
@@ -49,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="greatest difference allowed, in the channel's unit; for all channels or one;"
-        " may be given several times (default: 0)",
+        " may be given several times (default: 0; with measured data none)",
     )
     parser.add_argument(
         "--output",
@@ -70,22 +79,26 @@ def execute(args: argparse.Namespace) -> int:
     check_picture(args.plot)
     check_new_folder(args.output)
     from needle_sim_ros.session.compare import beyond, compare, read_tolerances
-    from needle_sim_ros.session.content import read_content
-    from needle_sim_ros.session.reader import mcap_path, session_of
+    from needle_sim_ros.session.content import read_contents
+    from needle_sim_ros.session.reader import bag_path, mcap_files, session_of
     from needle_sim_ros.session.replay import replay, replay_ticks
 
+    if args.topics or args.mapping is not None or _imported(args.bag):
+        from needle_sim_ros.commands.replay_measured import replay_measured
+
+        return replay_measured(args)
     tolerances = read_tolerances(args.tolerance)
     begin = time.perf_counter()
-    file = mcap_path(args.bag)
-    content = read_content(file)
-    session = session_of(file, content)
+    files = mcap_files(args.bag)
+    content = read_contents(files)
+    session = session_of(bag_path(files), content)
     ticks = replay_ticks(session)
     scene = _scene(args, session)
     preparing = time.perf_counter()
     simulator = prepared(scene)
     preparation = time.perf_counter() - preparing
     with progress(len(ticks), f"replaying {scene.name}") as bar:
-        done = replay(session, simulator, ticks, bar.update)
+        done = replay(session.metadata, simulator, ticks, bar.update)
     differences, compared = compare(session.series, done.series)
     took = time.perf_counter() - begin - preparation
     _check_reached(session, done)
@@ -100,7 +113,7 @@ def execute(args: argparse.Namespace) -> int:
     if args.output is not None:
         from needle_sim_ros.session.beside import write_beside
 
-        write_beside(args.output, content, session, done, scene)
+        write_beside(args.output, [content], session.metadata, done, scene)
         print(f"bag:  {args.output}")
     if args.plot is not None:
         from needle_sim_ros.view.files import save_figure
@@ -127,6 +140,15 @@ def execute(args: argparse.Namespace) -> int:
         },
     )
     return 1 if bad or not compared else 0
+
+
+def _imported(bag: Path) -> bool:
+    """Whether `needle_sim import` made the bag: its outputs were measured, not simulated."""
+    from needle_sim_ros.session.content import read_contents
+    from needle_sim_ros.session.imported import is_imported
+    from needle_sim_ros.session.reader import mcap_files
+
+    return is_imported(read_contents(mcap_files(bag)))
 
 
 def _scene(args: argparse.Namespace, session: Session) -> Scene:

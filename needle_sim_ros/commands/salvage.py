@@ -10,7 +10,6 @@ from pathlib import Path
 
 from needle_sim_ros.commands.options import add_json
 from needle_sim_ros.commands.output import check_new_folder, check_writable, write_json
-from needle_sim_ros.errors import SessionError
 
 NAME = "salvage"
 HELP = "recover a truncated or damaged session"
@@ -40,23 +39,22 @@ def execute(args: argparse.Namespace) -> int:
     """Salvage, and say what was lost."""
     check_writable(args.json)
     check_new_folder(args.output)
-    from needle_sim_ros.session.reader import mcap_path
+    from needle_sim_ros.session.reader import mcap_files
     from needle_sim_ros.session.salvage import Loss, salvage
 
-    file = mcap_path(args.bag)
-    others = len(list(args.bag.glob("*.mcap"))) - 1 if args.bag.is_dir() else 0
-    if others > 0:
-        raise SessionError(f"{args.bag} holds several MCAP files: name the one to salvage")
+    files = mcap_files(args.bag)
+    source = files[0] if len(files) == 1 else args.bag
     folder = args.output or _beside(args.bag.absolute())
-    result = salvage(file, folder)
+    result = salvage(files, folder)
 
     def line(loss: Loss) -> str:
         count = "" if loss.messages is None else f", {loss.messages} messages"
         extent = f"{loss.length} bytes{count} lost" if loss.length else "nothing lost here"
-        return f"  at byte {loss.offset}: {loss.reason} ({extent})"
+        where = "" if len(files) == 1 else f"{loss.file} "
+        return f"  {where}at byte {loss.offset}: {loss.reason} ({extent})"
 
     total = sum(result.messages.values())
-    print(f"{total} messages on {len(result.messages)} topics salvaged from {file}")
+    print(f"{total} messages on {len(result.messages)} topics salvaged from {source}")
     for loss in result.losses[:_SHOWN]:
         print(line(loss))
     if len(result.losses) > _SHOWN:
@@ -69,7 +67,7 @@ def execute(args: argparse.Namespace) -> int:
     write_json(
         args.json,
         {
-            "source": str(file),
+            "source": str(source),
             "bag": str(folder),
             "messages": total,
             "topics": result.messages,

@@ -42,17 +42,17 @@ def plot_session(bag: Path, output: Path) -> Summary:
 
 def _section(session: Session) -> tuple[Section | None, str]:
     """Return the section at the end of the insertion, and where it comes from."""
-    from needle_sim_ros.session.resimulate import motions_until, resimulate
+    from needle_sim_ros.session.resimulate import resimulate, ticks_until
     from needle_sim_ros.session.run import insertion_end
     from needle_sim_ros.view.section import take_section
 
     tick = insertion_end(session.series)
     try:
-        motions = motions_until(session, tick)
+        ticks = ticks_until(session, tick)
     except SessionError as error:
         return None, f"No section: {error}."
-    with progress(len(motions), "simulating the section again") as bar:
-        sim, observation = resimulate(session, motions, bar.update)
+    with progress(len(ticks), "simulating the section again") as bar:
+        sim, observation = resimulate(session, ticks, bar.update)
     apart = float(np.linalg.norm(observation.tip_position - session.series.tip_position[tick]))
     return take_section(sim, observation), (
         "Section simulated again from the recorded scene and motion; its tip is "

@@ -204,7 +204,7 @@ class Balance:
             rigidity=self._rigidity,
             tolerance=self._tolerance,
         )
-        found, slipped = self._solved(problem, start, length, bounds)
+        found, slipped = self._solved(problem, start, length, bounds, step.duration)
 
         forces = found.forces
         if n < track.count:
@@ -238,6 +238,7 @@ class Balance:
         start: FrictionStart,
         length: Vector,
         bounds: NDArray[np.int8],
+        duration: float,
     ) -> tuple[TrackForces, Vector]:
         """Solve for the forces; return them and the slip since the points last stuck."""
         if start.sliding:
@@ -255,7 +256,7 @@ class Balance:
             found = problem.bounded(low, high, bounds)
         bound = np.where(found.friction > 0, high, -low)
         slipped = friction.slip_after(
-            self.laws, start, found.status[:-1], found.friction, bound, found.slid
+            self.laws, start, found.status[:-1], found.friction, bound, found.slid, duration
         )
         return found, slipped
 

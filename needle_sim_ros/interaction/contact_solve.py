@@ -14,6 +14,7 @@ rounding stall it all the same, block principal pivoting (Portugal, Judice and V
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from needle_sim_ros.geometry import Vector
 _MOST_ITERATIONS = 50
 # iterations after which rounding, not the method, may be what keeps the gradient up
 _PATIENCE = 10
+# runs of rows from which a block is gathered entry by entry
+_FEW_RUNS = 4
 # block pivots without progress before single ones
 _CHANCES = 10
 
@@ -110,19 +113,31 @@ def _newton(matrix: Vector, right: Vector, x: Vector, free: NDArray[np.bool_]) -
         block, load = matrix, right
     else:
         rows = np.flatnonzero(free)
-        if rows[-1] == count - 1:  # the leading block needs no gather
-            block = matrix[:count, :count]
-            load = right[:count] - matrix[:count, count:] @ x[count:]
-        else:
-            block = matrix[np.ix_(rows, rows)]
-            held = np.flatnonzero(~free)
-            load = right[rows] - matrix[np.ix_(rows, held)] @ x[held]
+        load = right[rows] - (matrix @ np.where(free, 0.0, x))[rows]
+        block = _block(matrix, rows)
     # the transpose of a symmetric block is Fortran-ordered without a second copy
     factor, info = lapack.dpotrf(block.T, lower=1, clean=0)
     if info != 0:
         raise SolverError("the contact compliance is not positive definite")
     solution, _ = lapack.dpotrs(factor, load, lower=1)
     return np.asarray(solution)
+
+
+def _block(matrix: Vector, rows: NDArray[np.intp]) -> Vector:
+    """Return the rows and columns of a matrix; what sticks does so in a few runs of points."""
+    count = len(rows)
+    if rows[-1] == count - 1:
+        return matrix[:count, :count]
+    breaks = np.flatnonzero(np.diff(rows) != 1) + 1
+    if len(breaks) >= _FEW_RUNS:
+        return np.asarray(matrix[np.ix_(rows, rows)])
+    edges = [0, *breaks.tolist(), count]
+    runs = [(a, b, int(rows[a])) for a, b in pairwise(edges)]
+    block = np.empty((count, count))
+    for a, b, first in runs:
+        for c, d, other in runs:
+            block[a:b, c:d] = matrix[first : first + b - a, other : other + d - c]
+    return block
 
 
 def _rounding(matrix: Vector, x: Vector) -> float:

@@ -40,7 +40,7 @@ class Coupling:
     """
 
     def __init__(self, model: TissueModel, radius: float) -> None:
-        self._model, self._radius = model, radius
+        self._model, self.radius = model, radius
         across, along, _ = spacings(model.scene)
         self._along_spacing = along
         count = max(_ON_CHORD, math.ceil(_PER_CELL * 2 * radius / across))
@@ -106,7 +106,7 @@ class Coupling:
         if len(direction) == 3:
             return self._disc(direction)
         normal = np.array([-direction[1], direction[0]])
-        return self._radius * self._chord[:, None] * normal, 0.5 * self._chord_weight
+        return self.radius * self._chord[:, None] * normal, 0.5 * self._chord_weight
 
     def _disc(self, direction: Vector) -> tuple[Vector, Vector]:
         # two normals to the track; which ones hardly matters to a mean over the disc
@@ -114,7 +114,7 @@ class Coupling:
         first = other - (other @ direction) * direction
         first /= np.linalg.norm(first)
         second = np.cross(direction, first)
-        radii = self._radius * np.sqrt(0.5 * (_RINGS + 1))
+        radii = self.radius * np.sqrt(0.5 * (_RINGS + 1))
         around = np.cos(_ANGLES)[:, None] * first + np.sin(_ANGLES)[:, None] * second
         places = (radii[:, None, None] * around[None, :, :]).reshape(-1, 3)
         return places, np.repeat(0.5 * _RING_WEIGHT / len(_ANGLES), len(_ANGLES))

@@ -6,6 +6,7 @@ Static friction falls to kinetic as a point slips (segments DE and FG of Fig. 3)
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -115,12 +116,13 @@ def slip_after(
     friction: Vector,
     bound: Vector,
     slid: Vector,
+    duration: float,
 ) -> Vector:
     """Return the slip since the points last stuck, m, shape (n,).
 
-    A point that sticks in a hold starts anew. While the needle moves it does so as far
-    as it is unloaded, and wholly where the friction turns round: whether it stuck for
-    the length of a tick must not matter.
+    A point that sticks in a hold forgets its slip with time. While the needle moves it does
+    so as far as it is unloaded, and wholly where the friction turns round: whether it stuck
+    for the length of a tick must not matter.
 
     Parameters
     ----------
@@ -132,13 +134,15 @@ def slip_after(
         Friction and the largest it may be, N.
     slid : ndarray, shape (n,)
         In the step, m.
+    duration : float
+        Of the step, s.
     """
     sliding = status != 0
     after = np.where(friction * start.strain < 0, 0.0, start.slip)
     after[sliding] += np.abs(slid[sliding])
     if not sliding.all():
         if abs(start.advance) <= STILL:
-            after[~sliding] = 0.0
+            after[~sliding] *= math.exp(-duration / laws.interaction.friction.healing_time)
         else:
             whole = laws.interaction.friction.weakening_distance
             loaded = whole * np.abs(friction) / np.maximum(bound, 1e-300)

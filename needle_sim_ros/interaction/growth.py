@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # how far the tip may end from where a step took it to be, in track spacings
 SETTLED = 0.02
 # parts of a segment that the tip has passed at each stage; the point is laid at the last.
-# That the path converges with the square of the spacing needs the aim at the middle.
+# The midpoint rule makes the path converge with the square of the spacing.
 _FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.58, 0.66, 0.74, 0.98
 # ... and from there to each component that is weighed
 _EACH = 0.08
@@ -46,6 +46,9 @@ class TrackGrowth:
         self._needle, self._layer, self._balance = scene.needle, layer, balance
         self._bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
         self._half = np.array(scene.tissue.size) / 2
+        # the tissue's turning is felt over the bevel: on longer segments headings differ by
+        # more than the path's own turn, and foresight by the last one would overshoot
+        self._foresight = 2 * scene.solver.track_spacing <= self._bevel
 
     def opened(self, track: Track, step: Step, bent: BalanceSolution, forces: Vector) -> Track:
         """Return a track of one point with the second one, where the broken surface leads."""
@@ -77,7 +80,7 @@ class TrackGrowth:
                     return track
                 direction = self._cut(step, bent)
                 heading = _pulled_back(step, track, direction, forces, ahead.turning)
-                aimed = layer.aim(track, heading)
+                aimed = layer.aim(track, heading, self._foresight)
                 assert aimed.ahead is not None and aimed.ahead.point is not None
                 if not self._in_tissue(aimed.ahead.point):
                     beyond = (passed - 1.0) * track.spacing

@@ -75,7 +75,7 @@ class Track:
     stretches : tuple of Stretch
         Where the limits at the tip change.
     heading : ndarray, shape (d,), or None
-        Unit direction of the cut half a spacing before the tip reached the last segment.
+        Unit direction of the cut in the middle of the segment before the last.
     ahead : NextPoint or None
         The next point, as far as it is prepared.
     """
@@ -208,22 +208,30 @@ class TrackLayer:
         middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
         return replace(track, ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
 
-    def aim(self, track: Track, heading: Vector) -> Track:
-        """Decide where the next point goes.
+    def aim(self, track: Track, heading: Vector, foresight: bool = False) -> Track:
+        """Turn the last segment to where the tip cuts in its middle; foresee the next point.
+
+        The last point was laid before the tip came near, where it was expected to cut. Its
+        footprint stays there; the difference falls with the square of the spacing.
 
         Parameters
         ----------
         track : Track
         heading : ndarray, shape (d,)
-            Unit direction of the cut now, half a spacing before the last point. The new
-            piece takes the direction expected at its middle, from this and the last
-            heading, so that the path converges with the square of the spacing.
+            Unit direction of the cut, with the tip in the middle of the last segment. The
+            midpoint rule makes the path converge with the square of the spacing, and what
+            the held points do to the heading acts at once.
+        foresight : bool
+            Whether the path is expected to go on turning as it did.
         """
-        direction = heading
-        if track.heading is not None:
-            direction = 2.0 * heading - track.heading
-            direction = direction / np.linalg.norm(direction)
-        point = track.points[-1] + track.spacing * direction
+        if track.count > 1:
+            points, directions = track.points.copy(), track.directions.copy()
+            points[-1] = points[-2] + track.spacing * heading
+            directions[-1] = heading
+            track = replace(track, points=points, directions=directions)
+        point = track.points[-1] + track.spacing * heading
+        if foresight and track.heading is not None:
+            point += track.spacing * (heading - track.heading)
         ahead = track.ahead or NextPoint(None)
         return replace(track, ahead=ahead._replace(point=point, heading=heading))
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _SECOND = 1_000_000_000
+_PARTS = (50, 99, 100)  # per cent
 _LONGEST_SLEEP = 0.05  # s, so that a stop is noticed at low rates
 
 
@@ -24,7 +25,7 @@ class LoopReport:
         Since the start; an overrun is a deadline that passed without a tick.
     tick_p50, tick_p99, tick_max : float
         Time a tick took, s; NaN before the first.
-    lateness_p99 : float
+    lateness_p50, lateness_p99, lateness_max : float
         How late ticks began after their deadlines, s.
     """
 
@@ -33,7 +34,9 @@ class LoopReport:
     tick_p50: float
     tick_p99: float
     tick_max: float
+    lateness_p50: float
     lateness_p99: float
+    lateness_max: float
 
 
 class ClockLoop:
@@ -80,6 +83,11 @@ class ClockLoop:
         self.error: BaseException | None = None
 
     @property
+    def running(self) -> bool:
+        """Whether its thread was started, paused or not."""
+        return self._thread is not None
+
+    @property
     def paused(self) -> bool:
         """Whether the loop stands still."""
         return not self._running.is_set()
@@ -92,11 +100,16 @@ class ClockLoop:
         """Tick again, from now on."""
         self._running.set()
 
-    def start(self, on_error: Callable[[BaseException], object]) -> None:
-        """Run in a thread of its own; `on_error` is told what ended it, if anything."""
+    def start(
+        self,
+        on_error: Callable[[BaseException], object],
+        before: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Run in a thread of its own, after `before`; `on_error` is told what ended it."""
 
         def run() -> None:
             try:
+                before()
                 self.run()
             except BaseException as error:
                 self.error = error
@@ -138,10 +151,10 @@ class ClockLoop:
         """Return how the loop did over its latest ticks."""
         n = min(self.ticks, len(self._took))
         if n == 0:
-            return LoopReport(0, self.overruns, *(float("nan"),) * 4)
-        p50, p99, most = np.percentile(self._took[:n], (50, 99, 100))
-        late = float(np.percentile(self._late[:n], 99))
-        return LoopReport(self.ticks, self.overruns, float(p50), float(p99), float(most), late)
+            return LoopReport(0, self.overruns, *(float("nan"),) * 6)
+        took = np.percentile(self._took[:n], _PARTS).tolist()
+        late = np.percentile(self._late[:n], _PARTS).tolist()
+        return LoopReport(self.ticks, self.overruns, *took, *late)
 
     def _note(self, deadline: int) -> None:
         start, begun = self._now(), time.perf_counter()

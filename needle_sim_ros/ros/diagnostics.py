@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -21,17 +21,30 @@ class Diagnostics:
         What ticks.
     loop : ClockLoop
         What makes it tick.
+    publishers : callable
+        Gives the number of publishers of each command topic.
+    priority : callable
+        Says with which priority the loop runs.
     name : str
         Name of the node.
     """
 
-    def __init__(self, plant: Plant, loop: ClockLoop, name: str) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        loop: ClockLoop,
+        publishers: Callable[[], Mapping[str, int]],
+        priority: Callable[[], str],
+        name: str,
+    ) -> None:
         self._plant = plant
+        self._publishers = publishers
+        self._priority = priority
         self._loop = loop
         self._name = name
         self._seen = {"overruns": 0, "rejected": 0, "failed": 0, "lost": 0}
         self._wall = time.monotonic()
-        self._ticks = 0
+        self._ticks: int | None = None
 
     def message(self) -> DiagnosticArray:
         """Return the message; rates are since the last call."""
@@ -44,9 +57,12 @@ class Diagnostics:
     def _clock(self) -> DiagnosticStatus:
         plant, report = self._plant, self._loop.report()
         wall, ticks = time.monotonic(), plant.total_ticks
-        factor = (ticks - self._ticks) * plant.period / max(wall - self._wall, 1e-9)
-        self._wall, self._ticks = wall, ticks
+        ticked = ticks - (self._ticks or 0)
+        factor = ticked * plant.period / max(wall - self._wall, 1e-9)
         level, text = DiagnosticStatus.OK, "paused" if self._loop.paused else "running"
+        if not ticked and self._ticks is not None and not self._loop.paused:
+            level, text = DiagnosticStatus.WARN, "no tick since the last report"
+        self._wall, self._ticks = wall, ticks
         if self._rose("overruns", report.overruns):
             level, text = DiagnosticStatus.WARN, "the rate is not held"
         if self._rose("failed", plant.failed_ticks):
@@ -57,9 +73,13 @@ class Diagnostics:
             "tick_p50_ms": f"{1e3 * report.tick_p50:.3f}",
             "tick_p99_ms": f"{1e3 * report.tick_p99:.3f}",
             "tick_max_ms": f"{1e3 * report.tick_max:.3f}",
+            "lateness_p50_ms": f"{1e3 * report.lateness_p50:.3f}",
             "lateness_p99_ms": f"{1e3 * report.lateness_p99:.3f}",
+            "lateness_max_ms": f"{1e3 * report.lateness_max:.3f}",
             "overruns": str(report.overruns),
             "ticks": str(ticks),
+            "priority": self._priority(),
+            "solves": str(plant.statistics.solves),
             "failed_ticks": str(plant.failed_ticks),
             "waits_for_solves": str(plant.waits),
             "factorization": plant.factorization,
@@ -81,6 +101,7 @@ class Diagnostics:
             "commands_received": str(commands.received),
             "commands_rejected": str(rejected),
             "command_timeouts": str(commands.timeouts),
+            **{f"publishers: {topic}": str(n) for topic, n in self._publishers().items()},
             **{f"rejected: {reason}": str(n) for reason, n in sorted(commands.rejected.items())},
         }
         return self._status("commands", level, text, values)

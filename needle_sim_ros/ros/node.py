@@ -15,8 +15,11 @@ from needle_sim_ros.errors import NeedleSimError
 _SWITCH_INTERVAL = 1e-4  # s; the default of 5 ms lets another thread hold up several ticks
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; return the exit status."""
+def main(args: list[str] | None = None, managed: bool = False) -> int:
+    """Run the node until SIGINT or SIGTERM; return the exit status.
+
+    With `managed` it is a lifecycle node, which does nothing until it is configured.
+    """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -31,20 +34,21 @@ def main(args: list[str] | None = None) -> int:
     # With rclpy's own handlers the context would be gone before the recording is finished.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        return _run(stop)
+        return _run(stop, managed)
     finally:
         try_shutdown()
 
 
-def _run(stop: threading.Event) -> int:
+def _run(stop: threading.Event, managed: bool) -> int:
     import rclpy.logging
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
+    from needle_sim_ros.ros.managed_node import ManagedSimNode
     from needle_sim_ros.ros.sim_node import SimNode
 
     logger: Any = rclpy.logging.get_logger("needle_sim")
     try:
-        node = SimNode()
+        node = ManagedSimNode() if managed else SimNode()
     except NeedleSimError as error:
         logger.fatal(str(error))
         return 1
@@ -66,13 +70,16 @@ def _run(stop: threading.Event) -> int:
     # What exists now stays: a full garbage collection need not look through it each time.
     gc.collect()
     gc.freeze()
+    gc.disable()  # see Simulation: garbage is collected once a second, outside the ticks
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spinning = threading.Thread(target=spin, name="executor", daemon=True)
     spinning.start()
     node.start(failed)
-    logger.info(f"simulating {node.plant.scene.name} at {1 / node.plant.period:g} Hz")
     stop.wait()
+    if managed:  # its entities go with the simulation: nobody may be waiting on them
+        executor.shutdown()
+        spinning.join()
     node.close()
     executor.shutdown()
     spinning.join()
@@ -80,5 +87,10 @@ def _run(stop: threading.Event) -> int:
     return 1 if failures else 0
 
 
+def main_managed(args: list[str] | None = None) -> int:
+    """Run the managed node until SIGINT or SIGTERM; return the exit status."""
+    return main(args, managed=True)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(managed="--managed" in sys.argv))

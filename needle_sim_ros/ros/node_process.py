@@ -8,7 +8,9 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -63,6 +65,24 @@ class NodeProcess:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        if self._process is None:
+            raise NeedleSimError("the node was not started")
+        return self._process.pid
+
+    def end(self, number: signal.Signals, patience: float) -> tuple[int | None, float]:
+        """Send a signal; return the exit status, None if it lives on, and how long it took, s."""
+        process = self._process
+        if process is None:
+            raise NeedleSimError("the node was not started")
+        begin = time.monotonic()
+        process.send_signal(number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(patience)
+        return process.poll(), time.monotonic() - begin
 
     def check(self) -> None:
         """Raise `NeedleSimError` with the node's last words if it has ended."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
 
 import yaml
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
@@ -16,8 +17,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.ros import interaction_parameters
 from needle_sim_ros.ros.commands import StageLimits
+from needle_sim_ros.ros.plant import Plant
+from needle_sim_ros.ros.record_folder import RecordFolder
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.session.bag import Split
 from needle_sim_ros.session.writer import BASE_FRAME, TISSUE_FRAME
 
 
@@ -44,15 +49,41 @@ _NUMBERS = {
     "max_base_jump": _Number(
         0.5, 1e-6, 100.0, True, "Poses farther than this from the base are refused, m."
     ),
+    "realtime_priority": _Number(
+        0.0, 0.0, 99.0, False, "Priority of the clock loop (SCHED_FIFO, 1 to 99); 0: normal."
+    ),
+    "record_split_size": _Number(
+        0.0, 0.0, 1e15, True, "Sessions go on in another file at this size, bytes; 0: never."
+    ),
+    "record_split_duration": _Number(
+        0.0, 0.0, 1e9, True, "Sessions go on in another file after this log time, s; 0: never."
+    ),
 }
 _TEXTS = {
     "scene": ("gao2016", False, "Scene: a file, or the bare name of one that comes along."),
     "scene_overrides": ("", False, "Scene keys to change: KEY=VALUE; KEY=VALUE."),
-    "record": ("", True, "Folder to record sessions in; empty at the start: do not record."),
+    "record": (
+        "",
+        True,
+        "Folder to record sessions in, inside record_root; empty at the start: do not record.",
+    ),
+    "record_root": (
+        "",
+        False,
+        "Folder that recordings stay inside; empty: that of `record` at the start, or the"
+        " working folder.",
+    ),
     "tissue_frame": (TISSUE_FRAME, False, "Frame id of the tissue frame."),
     "base_frame": (BASE_FRAME, False, "Frame id of the needle base frame."),
 }
-_LIVE = tuple(name for name, number in _NUMBERS.items() if number.live)
+_LIMITS = ("command_timeout", "max_base_speed", "max_base_angular_speed", "max_base_jump")
+
+
+class Validated(Protocol):
+    """What changes of parameters are checked against."""
+
+    plant: Plant
+    record_folder: RecordFolder
 
 
 @dataclass(frozen=True)
@@ -62,8 +93,10 @@ class Settings:
     scene: Scene
     rate: float
     limits: StageLimits
+    realtime_priority: float
     publish_clock: bool
-    record: str
+    record: bool
+    record_folder: RecordFolder
     tissue_frame: str
     base_frame: str
 
@@ -102,11 +135,28 @@ def declare(node: Node) -> Settings:
         scene=scene,
         rate=numbers["rate"],
         limits=limits(numbers),
+        realtime_priority=numbers["realtime_priority"],
         publish_clock=bool(publish_clock),
-        record=texts["record"],
+        record=bool(texts["record"]),
+        record_folder=RecordFolder(
+            Path(texts["record_root"] or texts["record"] or "."),
+            texts["record"],
+            current_split(node),
+        ),
         tissue_frame=texts["tissue_frame"],
         base_frame=texts["base_frame"],
     )
+
+
+def current_record(node: Node) -> str:
+    """Return the folder to record in as the parameter is now."""
+    return str(node.get_parameter("record").value)
+
+
+def current_split(node: Node) -> Split:
+    """Return when sessions go on in another file, as the parameters are now."""
+    names = ("record_split_size", "record_split_duration")
+    return Split(*(node.get_parameter(name).value for name in names))
 
 
 def limits(numbers: Mapping[str, Any]) -> StageLimits:
@@ -121,20 +171,28 @@ def limits(numbers: Mapping[str, Any]) -> StageLimits:
 
 def current_limits(node: Node) -> StageLimits:
     """Return the stage's limits as the parameters are now."""
-    return limits({name: node.get_parameter(name).value for name in _LIVE})
+    return limits({name: node.get_parameter(name).value for name in _LIMITS})
 
 
-def validate(node: Node, changes: list[Parameter]) -> SetParametersResult:
-    """Refuse what types and ranges cannot express; changes nothing."""
-    for parameter in changes:
-        name = parameter.name
-        if name == "use_sim_time" and parameter.value != node.get_parameter(name).value:
-            reason = "use_sim_time is read at the start only: restart the node"
-            return SetParametersResult(successful=False, reason=reason)
-        if isinstance(parameter.value, float) and not math.isfinite(parameter.value):
-            reason = f"{parameter.name} = {parameter.value}: must be finite"
-            return SetParametersResult(successful=False, reason=reason)
-    return SetParametersResult(successful=True)
+def validate(node: Node, simulation: Validated, changes: list[Parameter]) -> SetParametersResult:
+    """Refuse, with the reason, what types and ranges cannot express; changes nothing."""
+    reason = next(filter(None, (_refusal(node, simulation, p) for p in changes)), None)
+    reason = reason or interaction_parameters.refusal(simulation.plant.current_scene, changes)
+    return SetParametersResult(successful=reason is None, reason=reason or "")
+
+
+def _refusal(node: Node, simulation: Validated, parameter: Parameter) -> str | None:
+    name, value = parameter.name, parameter.value
+    if name == "use_sim_time" and value != node.get_parameter(name).value:
+        return "use_sim_time is read at the start only: restart the node"
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{name} = {value}: must be finite"
+    if name == "record":
+        try:
+            replace(simulation.record_folder, folder=value).path()
+        except (NeedleSimError, OSError, RuntimeError, ValueError) as error:
+            return str(error)
+    return None
 
 
 def recorded(node: Node) -> dict[str, str]:
@@ -161,6 +219,8 @@ def _declare_number(node: Node, name: str, number: _Number) -> float:
 
 
 def _declared(node: Node, name: str, default: object, descriptor: ParameterDescriptor) -> Any:
+    if node.has_parameter(name):  # configured before, and cleaned up
+        return node.get_parameter(name).value
     try:
         return node.declare_parameter(name, default, descriptor).value
     except InvalidParameterTypeException as error:
@@ -203,22 +263,13 @@ def _overrides(text: str) -> dict[str, object]:
 def _declare_interaction(node: Node, scene: Scene) -> Scene:
     """Declare `interaction.*` with the scene's values; return the scene with what was set."""
     changes: dict[str, object] = {}
-    for key, default in _leaves("interaction", scene.to_dict()["interaction"]):
-        descriptor = ParameterDescriptor(
-            description=f"Scene key {key}, SI units; the default is the scene's.", read_only=True
-        )
-        value = _declared(node, key, default, descriptor)
+    for name, default, descriptor in interaction_parameters.described(scene):
+        value = _declared(node, name, default, descriptor)
+        if not math.isfinite(value):
+            raise ParameterError(f"parameter {name} = {value}: must be finite")
         if value != default:
-            changes[key] = value
+            changes[name] = value
     return scene.with_changes(changes) if changes else scene
-
-
-def _leaves(key: str, value: Any) -> Iterator[tuple[str, float]]:
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _leaves(f"{key}.{name}", inner)
-    else:
-        yield key, float(value)
 
 
 def _check_rate(scene: Scene, rate: float) -> None:

@@ -8,45 +8,28 @@ without it.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.command import BaseCommand
-from needle_sim_ros.errors import NeedleSimError, SessionError
+from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros.commands import Numbers, StageCommands
+from needle_sim_ros.ros.outlet import Naming, Outlet, Sink
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.session import cdr, channels
-from needle_sim_ros.session.bag import new_folder
+from needle_sim_ros.session.bag import NO_SPLIT, Split
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.history import History
 from needle_sim_ros.session.motion import STILL, Motion
 from needle_sim_ros.session.recorder import RecorderStatus
-from needle_sim_ros.session.writer import SessionWriter, nanoseconds
+from needle_sim_ros.session.writer import nanoseconds
 from needle_sim_ros.simulator import Simulator
 
 if TYPE_CHECKING:
     from needle_sim_ros.observation import Observation
-
-
-@dataclass(frozen=True)
-class Sink:
-    """Where a topic's bytes go, and whether anybody wants them."""
-
-    wanted: Callable[[], object]
-    publish: Callable[[bytes], object]
-
-
-@dataclass(frozen=True)
-class Naming:
-    """Frame ids, resolved topic names, and what else a session says about itself."""
-
-    tissue_frame: str
-    base_frame: str
-    topics: Mapping[Channel, str] = field(default_factory=dict)
-    settings: Mapping[str, str] = field(default_factory=dict)
+    from needle_sim_ros.statistics import Statistics
 
 
 class Plant:
@@ -55,7 +38,8 @@ class Plant:
     Parameters
     ----------
     scene : Scene
-        What to simulate.
+        What to simulate. The attribute is the scene that the ticks since the last reset
+        started with.
     period : float
         dt of every tick, s.
     commands : StageCommands
@@ -63,7 +47,7 @@ class Plant:
     naming : Naming
         Frames and topic names.
     sinks : mapping of Channel to Sink
-        Where messages are published; a topic without a sink is only recorded.
+        Where messages are published.
     warn : callable
         Told when the simulator refuses a command.
     """
@@ -84,17 +68,14 @@ class Plant:
         self.failed_ticks = 0
         self.last_failure = ""
         self.last_observation: Observation | None = None
-        self._naming = naming
+        self.watch: Callable[[Observation, Motion], object] | None = None  # told of every tick
         self._simulator = Simulator(scene)
         self._encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
         self._motion_encoders = channels.motion_encoders(naming.tissue_frame)
-        self._sinks = sinks
+        self._outlet = Outlet(naming, sinks)
         self._warn = warn
         self._lock = threading.Lock()
         self._history = History()
-        self._session: SessionWriter | None = None
-        self._ended = RecorderStatus()
-        self._epoch = 0  # what resets have to add to stamps, so that log time never goes back
         self._command: tuple[Motion, BaseCommand] = (STILL, STILL.command())
         self._begin()
 
@@ -121,14 +102,22 @@ class Plant:
     @property
     def recording(self) -> Path | None:
         """Folder of the session being recorded."""
-        session = self._session
-        return None if session is None else session.folder
+        return self._outlet.folder
 
     @property
     def recorder_status(self) -> RecorderStatus:
         """Where the recording stands, or how the last one ended."""
-        session = self._session
-        return self._ended if session is None else session.status
+        return self._outlet.status
+
+    @property
+    def statistics(self) -> Statistics:
+        """What the simulator counts: solves, waits for them, iterations."""
+        return self._simulator.statistics
+
+    @property
+    def current_scene(self) -> Scene:
+        """The scene with the interaction laws of now."""
+        return self._simulator.scene
 
     @property
     def position(self) -> Numbers:
@@ -144,13 +133,29 @@ class Plant:
         """Go back to the scene's start; the command in force is forgotten."""
         with self._lock:
             self._simulator.reset()
-            self._epoch += self.stamp
+            self._outlet.epoch += self.stamp
             self.commands.clear()
             self._history.clear()
+            self.scene = self._simulator.scene  # laws that were changed stay changed
             self._begin()
             self._event("reset")
 
-    def start_recording(self, parent: Path) -> Path:
+    def change_interaction(self, changes: Mapping[str, float]) -> None:
+        """Change interaction laws before the next tick, by keys below `interaction`.
+
+        Raises
+        ------
+        SceneError
+            When the scene would not allow it; nothing is changed then.
+        """
+        # Outside the lock: making and checking a scene takes longer than a tick.
+        scene = changed_scene(self._simulator.scene, changes)
+        with self._lock:
+            self._simulator.take_interaction(scene)
+            self._history.change(changes)
+            self._event(channels.INTERACTION_EVENT, changes=dict(changes))
+
+    def start_recording(self, parent: Path, split: Split = NO_SPLIT) -> Path:
         """Begin a session in a new folder of `parent`; return the folder.
 
         Raises
@@ -159,22 +164,9 @@ class Plant:
             When one is being recorded already, or none can be.
         """
         with self._lock:
-            if self._session is not None:
-                raise SessionError(f"already recording in {self._session.folder}")
-            self._epoch = 0  # resets before it are no business of this session's
-            naming = self._naming
-            self._session = SessionWriter(
-                new_folder(parent, self.scene.name),
-                self.scene,
-                self.period,
-                names=naming.topics,
-                tissue_frame=naming.tissue_frame,
-                base_frame=naming.base_frame,
-                settings=naming.settings,
-                history=self._history,
-            )
+            folder = self._outlet.start(parent, self.scene, self.period, self._history, split)
             self._event("recording started")
-            return self._session.folder
+            return folder
 
     def stop_recording(self, timeout: float = 5.0) -> tuple[Path, RecorderStatus]:
         """Finish the session; return its folder and how it ended.
@@ -185,20 +177,15 @@ class Plant:
             When none is being recorded.
         """
         with self._lock:
-            session = self._session
-            if session is None:
-                raise SessionError("not recording")
-            self._event("recording stopped")
-            self._session = None
+            if self._outlet.folder is not None:
+                self._event("recording stopped")
+            session = self._outlet.detach()
         # Not under the lock: a slow disk must not hold up the ticks.
-        self._ended = session.close(timeout)
-        return session.folder, self._ended
+        return session.folder, self._outlet.finish(session, timeout)
 
     def record(self, channel: Channel, data: bytes) -> None:
         """Record a message at the present simulated time, if a session is being recorded."""
-        session = self._session
-        if session is not None:
-            session.write(self._epoch + self.stamp, [(channel, data)])
+        self._outlet.record(self.stamp, channel, data)
 
     def event(self, event: str, **details: object) -> None:
         """Record that something happened."""
@@ -207,21 +194,8 @@ class Plant:
 
     def _event(self, event: str, **details: object) -> None:
         details = {"time": self.time, "ticks": self.ticks, **details}
-        self._emit([(channels.EVENTS, lambda: channels.event_message(event, **details))])
-
-    def _emit(self, messages: Iterable[tuple[Channel, Callable[[], bytes]]]) -> None:
-        """Publish what is wanted and record everything; nothing is made in vain."""
-        session, recorded = self._session, []
-        for channel, encode in messages:
-            sink = self._sinks.get(channel)
-            wanted = sink is not None and sink.wanted()
-            if wanted or session is not None:
-                data = encode()
-                recorded.append((channel, data))
-                if sink is not None and wanted:
-                    sink.publish(data)
-        if session is not None:
-            session.write(self._epoch + self.stamp, recorded)
+        message = partial(channels.event_message, event, **details)
+        self._outlet.emit(self.stamp, [(channels.EVENTS, message)])
 
     def _begin(self) -> None:
         base = self.scene.base
@@ -237,21 +211,21 @@ class Plant:
         observation, motion = stepped
         self._history.add(motion)
         self.total_ticks += 1
+        if self.watch is not None:
+            self.watch(observation, motion)
         self.last_observation = observation
         self.time = observation.time
         self._position = observation.base_position.tolist()
         self._orientation = observation.base_orientation.tolist()
         stamp = self.stamp
-        clock = self._sinks.get(channels.CLOCK)
-        if clock is not None:
-            clock.publish(cdr.clock(stamp))
+        self._outlet.publish(channels.CLOCK, cdr.clock(stamp))
         applied, encode_motion = self._motion_encoders[motion.kind]
         messages: list[tuple[Channel, Callable[[], bytes]]] = [
             (channel, partial(encode, stamp, observation))
             for channel, encode in self._encoders.items()
         ]
         messages.append((applied, partial(encode_motion, stamp, motion)))
-        self._emit(messages)
+        self._outlet.emit(stamp, messages)
 
     def _step(self) -> tuple[Observation, Motion] | None:
         """Step by the command in force, or stand still where the simulator refuses it."""
@@ -273,3 +247,14 @@ class Plant:
         if motion is not self._command[0]:
             self._command = motion, motion.command()
         return self._command[1]
+
+
+def changed_scene(scene: Scene, changes: Mapping[str, object]) -> Scene:
+    """Return a scene with interaction laws changed, by keys below `interaction`.
+
+    Raises
+    ------
+    SceneError
+        When that is not admissible.
+    """
+    return scene.with_changes({f"interaction.{key}": value for key, value in changes.items()})

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rosbag2 folder: one MCAP file and `metadata.yaml`, as `ros2 bag` writes and reads it."""
+"""A rosbag2 folder: MCAP files and `metadata.yaml`, as `ros2 bag` writes and reads it."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -22,6 +22,39 @@ from needle_sim_ros.session.schema import MessageSchema, message_schema
 
 _FORMAT_VERSION = 9  # rosbag2 of Jazzy
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+class FolderTakenError(SessionError):
+    """The folder of a new bag exists: a session is never overwritten."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """When a bag goes on in another file, as with `ros2 bag record`; 0 is never.
+
+    Parameters
+    ----------
+    size : float
+        Bytes that a file has at least.
+    duration : float
+        Log time that a file covers at most, s.
+    """
+
+    size: float = 0.0
+    duration: float = 0.0
+
+
+NO_SPLIT = Split()
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A finished file: name, bytes, first and last log time, messages by channel id."""
+
+    name: str
+    size: int
+    times: tuple[int, int]
+    counts: dict[int, int]
 
 
 @dataclass(frozen=True)
@@ -78,35 +111,67 @@ class Bag:
     ----------
     folder : Path
         Made here, with its parents; must not exist.
+    split : Split
+        When to begin another file. Every file has the attachments, the metadata and the
+        topics, so that each can be read, or salvaged, by itself.
+
+    Attributes
+    ----------
+    file : McapFile
+        The file that is being written.
 
     Raises
     ------
+    FolderTakenError
+        When the folder exists.
     SessionError
-        When the folder exists or cannot be made.
+        When it cannot be made.
     """
 
-    def __init__(self, folder: Path) -> None:
-        library = f"needle_sim_ros mcap/{version('mcap')}"
+    def __init__(self, folder: Path, split: Split = NO_SPLIT) -> None:
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
-            raise SessionError(f"{folder} exists: a session is never overwritten") from None
+            text = f"{folder} exists: a session is never overwritten"
+            raise FolderTakenError(text) from None
         except OSError as error:
             raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
         self.folder = folder
+        self._split = split
+        self._parts: list[_Part] = []
         self._topics: dict[int, dict[str, Any]] = {}
+        self._channels: list[tuple[str, str, str, dict[str, str], tuple[str, str]]] = []
+        self._attachments: list[tuple[str, str, bytes]] = []
+        self._metadata: list[tuple[str, Mapping[str, str]]] = []
         try:
-            self.file = McapFile(folder / f"{folder.name}_0.mcap", library)
+            self.file = self._opened(0)
         except OSError as error:
             folder.rmdir()
             raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
+
+    @property
+    def size(self) -> int:
+        """Bytes in all files."""
+        return self.file.size + sum(part.size for part in self._parts)
+
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Write an attachment into every file; only before the first message."""
+        self.file.add_attachment(name, media_type, data)
+        self._attachments.append((name, media_type, data))
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record into every file; only before the first message."""
+        self.file.add_metadata(name, values)
+        self._metadata.append((name, values))
 
     def add_topic(self, topic: Topic) -> int:
         """Return the channel id of a new topic."""
         schema = message_schema(topic.type)
         profiles = yaml.safe_dump(topic.qos_profiles(), sort_keys=False)
         metadata = {"offered_qos_profiles": profiles, "topic_type_hash": schema.type_hash}
-        channel = self.file.add_channel(topic.name, schema.name, schema.text, metadata)
+        channel = self._add_channel(
+            topic.name, schema.name, schema.text, metadata, ("cdr", "ros2msg")
+        )
         self._note(channel, topic.name, schema, topic.qos_profiles())
         return channel
 
@@ -121,11 +186,17 @@ class Bag:
         text = schema.data.decode()
         encodings = (channel.message_encoding, schema.encoding)
         metadata = dict(channel.metadata)
-        number = self.file.add_channel(channel.topic, schema.name, text, metadata, encodings)
+        number = self._add_channel(channel.topic, schema.name, text, metadata, encodings)
         profiles = deepcopy(_profiles(metadata.get("offered_qos_profiles", "")))
         known = MessageSchema(schema.name, text, metadata.get("topic_type_hash", ""))
         self._note(number, channel.topic, known, profiles, channel.message_encoding)
         return number
+
+    def _add_channel(
+        self, topic: str, kind: str, text: str, metadata: dict[str, str], encodings: tuple[str, str]
+    ) -> int:
+        self._channels.append((topic, kind, text, metadata, encodings))
+        return self.file.add_channel(topic, kind, text, metadata, encodings)
 
     def _note(
         self,
@@ -143,9 +214,71 @@ class Bag:
             "type_description_hash": schema.type_hash,
         }
 
+    def pieces(self, entries: Sequence[Entry]) -> Iterator[Sequence[Entry]]:
+        """Yield entries in parts that belong into one file each; write each before the next."""
+        limit = round(self._split.duration * 1e9)
+        while entries:
+            count = len(entries)
+            if limit:
+                start = self.file.start
+                first = entries[0][2]
+                if start is None or first - start >= limit:
+                    start = first
+                count = next((k for k, e in enumerate(entries) if e[2] - start >= limit), count)
+            yield entries[:count]
+            entries = entries[count:]
+
     def write(self, entries: Sequence[Entry]) -> None:
         """Write messages as one chunk, all or none; `OSError` when the disk refuses."""
+        if entries and self._is_full(entries[0][2]):
+            self._begin_file()
         self.file.write_chunk(entries)
+
+    def _is_full(self, time: int) -> bool:
+        start, split = self.file.start, self._split
+        if start is None:
+            return False
+        return (0 < split.size <= self.file.size) or (
+            split.duration > 0 and time - start >= round(split.duration * 1e9)
+        )
+
+    def _begin_file(self) -> None:
+        """Go on in another file; where there is no room for that, in this one."""
+        number = len(self._parts) + 1
+        try:
+            following = self._opened(number)
+        except OSError:
+            return
+        part = self._part()
+        try:
+            for channel in self._channels:
+                following.add_channel(*channel)
+            for attachment in self._attachments:
+                following.add_attachment(*attachment)
+            for metadata in self._metadata:
+                following.add_metadata(*metadata)
+            self.file.finish(
+                lambda: ("rosbag2", {"serialized_metadata": _yaml(self._information([part]))}),
+                make_room=False,
+            )
+        except OSError:
+            following.abandon()
+            (self.folder / self._name(number)).unlink(missing_ok=True)
+            return
+        self._parts.append(part)
+        self.file = following
+
+    def _opened(self, number: int) -> McapFile:
+        library = f"needle_sim_ros mcap/{version('mcap')}"
+        return McapFile(self.folder / self._name(number), library)
+
+    def _name(self, number: int) -> str:
+        return f"{self.folder.name}_{number}.mcap"
+
+    def _part(self) -> _Part:
+        file = self.file
+        name = self._name(len(self._parts))
+        return _Part(name, file.size, file.time_range, file.message_counts)
 
     def close(self) -> int:
         """Finish file and `metadata.yaml`; return how many messages had to make room.
@@ -160,7 +293,7 @@ class Bag:
 
         def closing() -> tuple[str, dict[str, str]]:
             nonlocal failure
-            information = self._information()
+            information = self._information([*self._parts, self._part()])
             text = _yaml({"rosbag2_bagfile_information": information})
             try:
                 target.write_text(text, encoding="utf-8")
@@ -181,28 +314,29 @@ class Bag:
             raise failure
         return dropped
 
-    def _information(self) -> dict[str, Any]:
-        first, last = self.file.time_range
-        counts = self.file.message_counts
-        name = f"{self.folder.name}_0.mcap"
-        extent = {
-            "starting_time": {"nanoseconds_since_epoch": first},
-            "duration": {"nanoseconds": last - first},
-            "message_count": sum(counts.values()),
-        }
+    def _information(self, parts: Sequence[_Part]) -> dict[str, Any]:
+        filled = [part.times for part in parts if any(part.counts.values())] or [(0, 0)]
+        total = sum(sum(part.counts.values()) for part in parts)
+        extent = _extent(min(t[0] for t in filled), max(t[1] for t in filled), total)
         topics = [
-            {"topic_metadata": topic, "message_count": counts[channel]}
+            {
+                "topic_metadata": topic,
+                "message_count": sum(part.counts.get(channel, 0) for part in parts),
+            }
             for channel, topic in self._topics.items()
         ]
         return {
             "version": _FORMAT_VERSION,
             "storage_identifier": "mcap",
-            **_copied(extent),
+            **extent,
             "topics_with_message_count": topics,
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": [name],
-            "files": [{"path": name, **_copied(extent)}],
+            "relative_file_paths": [part.name for part in parts],
+            "files": [
+                {"path": part.name, **_extent(*part.times, sum(part.counts.values()))}
+                for part in parts
+            ],
             "custom_data": None,
             "ros_distro": "jazzy",
         }
@@ -225,6 +359,10 @@ def _profiles(text: str) -> list[dict[str, Any]]:
     return found if isinstance(found, list) else []
 
 
-def _copied(extent: dict[str, Any]) -> dict[str, Any]:
-    # YAML would write one object met twice as an anchor, which rosbag2 need not read.
-    return {key: dict(v) if isinstance(v, dict) else v for key, v in extent.items()}
+def _extent(first: int, last: int, count: int) -> dict[str, Any]:
+    # Made anew each time: YAML would write one object met twice as an anchor.
+    return {
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "duration": {"nanoseconds": last - first},
+        "message_count": count,
+    }

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
+Packer = Callable[[int, Sequence[float]], bytes]
 _SECOND = 1_000_000_000
 _FLOAT32, _UINT32 = 7, 6  # sensor_msgs/PointField
 
@@ -37,7 +38,7 @@ def clock(stamp: int) -> bytes:
     return struct.pack("<4siI", ENCAPSULATION, *divmod(stamp, _SECOND))
 
 
-def stamped_doubles(frame_id: str, count: int) -> Callable[[int, Sequence[float]], bytes]:
+def stamped_doubles(frame_id: str, count: int) -> Packer:
     """Return a packer of messages that are a header and `count` doubles.
 
     `Vector3Stamped` has 3, `WrenchStamped` and `TwistStamped` 6, `PoseStamped` 7
@@ -52,6 +53,24 @@ def stamped_doubles(frame_id: str, count: int) -> Callable[[int, Sequence[float]
         return pack(ENCAPSULATION, *divmod(stamp, _SECOND), length, frame, *values)
 
     return encode
+
+
+def read_stamped_doubles(data: bytes, count: int) -> tuple[str, tuple[float, ...]] | None:
+    """Return frame id and numbers of a message that is a header and `count` doubles.
+
+    None for anything but the plain little-endian form with an ASCII frame id and nothing
+    before or after: then a real deserialiser has to say what it is.
+    """
+    if len(data) < 16 or data[:4] != ENCAPSULATION:
+        return None
+    end = 16 + int.from_bytes(data[12:16], "little")
+    begin = end + (4 - end) % 8
+    if len(data) != begin + 8 * count or end == 16 or data[end - 1]:
+        return None
+    frame = data[16 : end - 1]
+    if not frame.isascii() or 0 in frame:
+        return None
+    return frame.decode("ascii"), struct.unpack_from(f"<{count}d", data, begin)
 
 
 def marker_cloud(

@@ -131,6 +131,9 @@ def motion_encoders(
     }
 
 
+INTERACTION_EVENT = "interaction"  # its detail `changes` maps keys to values
+
+
 def event_message(event: str, **details: object) -> bytes:
     """Return the bytes of an event: JSON with its name and details."""
     return cdr.text(json.dumps({"event": event, **details}))

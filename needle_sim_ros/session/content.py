@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -125,6 +125,42 @@ def read_content(path: Path) -> Content:
         definitions.channels,
         dict(messages),
     )
+
+
+def read_contents(paths: Sequence[Path]) -> Content:
+    """Read the files of a bag as one; of attachments and metadata the first of a name counts.
+
+    Raises
+    ------
+    SessionError
+        When one cannot be opened or is no MCAP file.
+    """
+    contents = [read_content(path) for path in paths]
+    if len(contents) == 1:
+        return contents[0]
+    whole = Content(
+        next((c.damage for c in contents if c.damage is not None), None), {}, {}, {}, {}, {}
+    )
+    numbers: dict[tuple[str, str, str, bytes], int] = {}
+    for content in contents:
+        for name, data in content.attachments.items():
+            whole.attachments.setdefault(name, data)
+        for name, values in content.metadata.items():
+            whole.metadata.setdefault(name, values)
+        for number, channel in content.channels.items():
+            schema = content.schemas.get(channel.schema_id)
+            if schema is None:
+                continue
+            key = (channel.topic, channel.message_encoding, schema.name, schema.data)
+            if key not in numbers:
+                numbers[key] = len(numbers) + 1
+                whole.schemas[numbers[key]] = replace(schema, id=numbers[key])
+                whole.channels[numbers[key]] = replace(
+                    channel, id=numbers[key], schema_id=numbers[key]
+                )
+            messages = content.messages.get(number, [])
+            whole.messages.setdefault(numbers[key], []).extend(messages)
+    return whole
 
 
 def read_attachment(content: bytes) -> Attachment:

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was applied since the simulation started, for recordings that begin later."""
+"""What was applied since the simulation started, for recordings that begin later.
+
+Motions, and changes of the interaction laws with the number of ticks before them.
+"""
 
 from __future__ import annotations
 
 import json
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from needle_sim_ros.session.motion import Motion
 
@@ -34,6 +37,7 @@ class History:
         self._count = 0
         self.ticks = 0
         self.complete = True
+        self.changes: list[tuple[int, dict[str, float]]] = []
 
     def add(self, motion: Motion) -> None:
         """Note the motion of one tick."""
@@ -49,6 +53,17 @@ class History:
                 self.complete = False
                 self._rows = array("d")
         self._last, self._count = motion, 1
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Note that laws changed, by keys below `interaction`, before the next tick."""
+        self.changes.append((self.ticks, dict(values)))
+        if len(self.changes) > self._limit:
+            self.complete = False
+            self.changes = self.changes[-1:]
+
+    def changes_json(self) -> str:
+        """Return ``[[ticks before, {key: value}], ...]``."""
+        return json.dumps(self.changes)
 
     def runs(self) -> Iterator[tuple[Motion, int]]:
         """Yield motions and for how many ticks each was applied."""
@@ -77,3 +92,11 @@ def motions_from_json(text: str) -> list[tuple[Motion, int]] | None:
     if data is None:
         return None
     return [(Motion.from_values(kind, values), int(count)) for kind, count, values in data]
+
+
+def changes_from_json(text: str) -> list[tuple[int, dict[str, float]]]:
+    """Return the changes written by :meth:`History.changes_json`."""
+    return [
+        (int(ticks), {str(key): float(value) for key, value in values.items()})
+        for ticks, values in json.loads(text)
+    ]

@@ -107,6 +107,11 @@ class McapFile:
         return min(starts), max(ends)
 
     @property
+    def start(self) -> int | None:
+        """First log time in the file, ns; None when it is empty."""
+        return int(_TIMES.unpack_from(self._chunks[0], 9)[0]) if self._chunks else None
+
+    @property
     def removed(self) -> bool:
         """Whether the file has been deleted under us."""
         return os.fstat(self._file.fileno()).st_nlink == 0
@@ -235,7 +240,11 @@ class McapFile:
         self._cut()
         return dropped
 
-    def finish(self, closing_metadata: Callable[[], tuple[str, Mapping[str, str]]]) -> int:
+    def finish(
+        self,
+        closing_metadata: Callable[[], tuple[str, Mapping[str, str]]],
+        make_room: bool = True,
+    ) -> int:
         """Write the summary and close the file; return how many messages made room for it.
 
         Parameters
@@ -243,6 +252,8 @@ class McapFile:
         closing_metadata : callable
             Gives name and values of a last metadata record, after the messages; may write
             a file that has to go with it, and is called again when there was no room.
+        make_room : bool
+            Whether messages may make room; if not, the file stays open when there is none.
 
         Raises
         ------
@@ -254,7 +265,7 @@ class McapFile:
             try:
                 self._append(self._closing(*closing_metadata()))
             except OSError as error:
-                if not self._chunks or error.errno not in NO_ROOM:
+                if not (make_room and self._chunks) or error.errno not in NO_ROOM:
                     raise
                 # In growing steps: the summary of a long session is long.
                 dropped += sum(self.drop_last_chunk() for _ in range(min(step, len(self._chunks))))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -18,16 +19,17 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.session import channels, decode
 from needle_sim_ros.session.attached_mesh import attached_mesh, recorded_scene
 from needle_sim_ros.session.channels import Channel
-from needle_sim_ros.session.content import Content, read_content
-from needle_sim_ros.session.history import motions_from_json
+from needle_sim_ros.session.content import Content, read_contents
+from needle_sim_ros.session.history import changes_from_json, motions_from_json
 from needle_sim_ros.session.mcap_walk import CUT_OFF, NOT_FINISHED
 from needle_sim_ros.session.motion import Motion
 from needle_sim_ros.session.series import Array, Series
-from needle_sim_ros.session.writer import ABOUT, HISTORY_FILE, SCENE_FILE
+from needle_sim_ros.session.writer import ABOUT, CHANGES_FILE, HISTORY_FILE, SCENE_FILE
 
 _NEEDED = frozenset(
     ("tip_deflection", "tip_pose", "base_wrench", "tissue_markers", "insertion_depth", "process")
 )
+_LARGEST_SCENE = 1_000_000  # bytes of YAML, as of a scene's file
 # Log times in ns and serialised messages of a topic, by role.
 Recorded = Mapping[str, tuple[Sequence[int], Sequence[bytes]]]
 
@@ -39,7 +41,7 @@ class Session:
     Parameters
     ----------
     path : Path
-        The MCAP file.
+        The MCAP file; of a session in several files the folder.
     complete : bool
         Whether the file was finished; otherwise it ends where the writer was killed.
     scene_text : str
@@ -49,6 +51,9 @@ class Session:
     before : list of (Motion, int), or None
         What was applied before the recording, with numbers of ticks; None when it is
         not known, and the session cannot be replayed from the start.
+    changes_before : list of (int, dict)
+        How the interaction laws changed before the recording: number of ticks before,
+        values by keys below `interaction`. Later changes are among the events.
     motions : list of (int, Motion)
         Log time in ns and motion of every recorded tick.
     events : list of (int, dict)
@@ -66,6 +71,7 @@ class Session:
     scene_text: str
     metadata: Mapping[str, str]
     before: list[tuple[Motion, int]] | None
+    changes_before: list[tuple[int, dict[str, float]]]
     motions: list[tuple[int, Motion]]
     events: list[tuple[int, dict[str, Any]]]
     inputs: list[tuple[int, str, Any]]
@@ -77,8 +83,8 @@ class Session:
         return recorded_scene(self.scene_text, self.mesh)
 
 
-def mcap_path(path: str | Path) -> Path:
-    """Return the MCAP file of a session given by its folder or by the file itself.
+def mcap_files(path: str | Path) -> list[Path]:
+    """Return the MCAP files of a session given by its folder, or by one file alone.
 
     Raises
     ------
@@ -87,13 +93,19 @@ def mcap_path(path: str | Path) -> Path:
     """
     given = Path(path).expanduser()
     if given.is_file():
-        return given
+        return [given]
     if not given.is_dir():
         raise SessionError(f"{given}: no such session")
-    files = sorted(given.glob("*.mcap"))
+    files = sorted(given.glob("*.mcap"), key=_file_order)
     if not files:
         raise SessionError(f"{given}: no MCAP file in this folder")
-    return files[0]
+    return files
+
+
+def _file_order(file: Path) -> tuple[int, str]:
+    """Order the files of a split bag by the number at the end of their names."""
+    number = re.search(r"_(\d{1,18})$", file.stem)
+    return (int(number[1]) if number else -1, file.name)
 
 
 def read_session(path: str | Path) -> Session:
@@ -102,19 +114,24 @@ def read_session(path: str | Path) -> Session:
     Parameters
     ----------
     path : path
-        The session's folder or its MCAP file.
+        The session's folder, or one MCAP file.
 
     Raises
     ------
     SessionError
         When it is no session of this package.
     """
-    file = mcap_path(path)
-    return session_of(file, read_content(file))
+    files = mcap_files(path)
+    return session_of(bag_path(files), read_contents(files))
+
+
+def bag_path(files: Sequence[Path]) -> Path:
+    """Return what a session is called by: its file, or their folder when it has several."""
+    return files[0] if len(files) == 1 else files[0].parent
 
 
 def session_of(file: Path, content: Content) -> Session:
-    """Return the session that a file's content is.
+    """Return the session that the content of its files is; `file` is for messages.
 
     Raises
     ------
@@ -154,6 +171,8 @@ def recorded_messages(content: Content, about: Mapping[str, str]) -> Recorded:
 
 def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
     scene = content.attachments[SCENE_FILE]
+    if len(scene) > _LARGEST_SCENE:
+        raise SessionError(f"{file}: its scene is larger than {_LARGEST_SCENE} bytes")
     if sha256(scene).hexdigest() != about["scene_sha256"]:
         raise SessionError(f"{file} is damaged: the scene is not the one recorded")
     started_late = int(about["start_tick"]) > 0
@@ -180,6 +199,7 @@ def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
         scene_text=scene_text,
         metadata=about,
         before=motions_from_json(history.decode()),
+        changes_before=changes_from_json(content.attachments.get(CHANGES_FILE, b"[]").decode()),
         motions=sorted(motions, key=_time),
         events=events,
         inputs=_inputs(content, about),

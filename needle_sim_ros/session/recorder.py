@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from needle_sim_ros.session.bag import Bag
@@ -13,6 +14,7 @@ from needle_sim_ros.session.mcap_file import Entry
 _CAPACITY = 64 << 20
 _CHUNK = 1 << 20
 _INTERVAL = 0.2
+_NOTHING: Counter[int] = Counter()
 _OVERHEAD = 120  # of a queued message beside its bytes
 
 
@@ -62,7 +64,10 @@ class Recorder:
         self._capacity = capacity
         self._interval = interval
         self._lock = threading.Lock()
-        self._queue: list[Entry] = []
+        # Log time, messages, and what was lost before them: numbered by the writer thread.
+        self._queue: list[tuple[int, tuple[tuple[int, bytes], ...], Counter[int]]] = []
+        self._missing: Counter[int] = Counter()
+        self._queued = 0
         self._queued_bytes = 0
         self._sequence: dict[int, int] = {}
         self._written = self._in_hand = self._lost = self._size = 0
@@ -77,11 +82,11 @@ class Recorder:
     def status(self) -> RecorderStatus:
         """Where the recording stands now."""
         with self._lock:
-            queued = len(self._queue) + self._in_hand
+            queued = self._queued + self._in_hand
             return RecorderStatus(self._written, self._size, queued, self._lost, self._error)
 
     def write(self, time: int, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Queue messages of one log time; never waits for the disk.
+        """Queue messages of one log time, all or none; never waits for the disk.
 
         Parameters
         ----------
@@ -90,17 +95,20 @@ class Recorder:
         messages : iterable of (int, bytes)
             Channel ids and serialised messages.
         """
+        batch = tuple(messages)
+        size = _OVERHEAD * len(batch) + sum([len(data) for _, data in batch])
         with self._lock:
-            for channel, data in messages:
-                sequence = self._sequence.get(channel, 0)
-                self._sequence[channel] = (sequence + 1) & 0xFFFFFFFF
-                size = len(data) + _OVERHEAD
-                if self._closing or self._queued_bytes + size > self._capacity:
-                    self._lost += 1
-                    self._error = "recording ended" if self._closing else "the disk is too slow"
-                    continue
-                self._queue.append((channel, sequence, time, data))
-                self._queued_bytes += size
+            if self._closing or self._queued_bytes + size > self._capacity:
+                self._lost += len(batch)
+                self._error = "recording ended" if self._closing else "the disk is too slow"
+                self._missing.update(channel for channel, _ in batch)
+                return
+            missing = _NOTHING
+            if self._missing:
+                missing, self._missing = self._missing, Counter()
+            self._queue.append((time, batch, missing))
+            self._queued += len(batch)
+            self._queued_bytes += size
             full = self._queued_bytes > _CHUNK
         if full:
             self._wake.set()
@@ -131,9 +139,10 @@ class Recorder:
             with self._lock:
                 closing = self._closing
                 batch, self._queue = self._queue, []
-                self._in_hand, self._queued_bytes = len(batch), 0
-            for part in _parts(batch):
-                self._write(part)
+                self._in_hand, self._queued, self._queued_bytes = self._queued, 0, 0
+            for part in _parts(self._numbered(batch)):
+                for piece in self._bag.pieces(part):
+                    self._write(piece)
         self._check_removed()
         try:
             made_room = self._bag.close()
@@ -144,7 +153,21 @@ class Recorder:
             if made_room:
                 self._note(-made_room, made_room, "no room for the index")
 
-    def _write(self, part: list[Entry]) -> None:
+    def _numbered(
+        self, batch: Iterable[tuple[int, tuple[tuple[int, bytes], ...], Counter[int]]]
+    ) -> list[Entry]:
+        """Return entries with sequence numbers, which leave out what was lost."""
+        entries, numbers = [], self._sequence
+        for time, messages, missing in batch:
+            for channel, count in missing.items():
+                numbers[channel] = (numbers.get(channel, 0) + count) & 0xFFFFFFFF
+            for channel, data in messages:
+                number = numbers.get(channel, 0)
+                numbers[channel] = (number + 1) & 0xFFFFFFFF
+                entries.append((channel, number, time, data))
+        return entries
+
+    def _write(self, part: Sequence[Entry]) -> None:
         try:
             self._bag.write(part)
         except Exception as error:  # whatever it is, it is counted and the simulation goes on
@@ -166,7 +189,7 @@ class Recorder:
         with self._lock:
             self._written += written
             self._lost += lost
-            self._size = self._bag.file.size
+            self._size = self._bag.size
             self._error = error or self._error
 
 

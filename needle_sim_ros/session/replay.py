@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import NeedleSimError, SessionError
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.motion import STILL, Motion
 from needle_sim_ros.session.reader import Recorded, series_of
+from needle_sim_ros.session.writer import nanoseconds
 
 if TYPE_CHECKING:
+    from needle_sim_ros.observation import Observation
     from needle_sim_ros.session.reader import Session
     from needle_sim_ros.session.series import Series
     from needle_sim_ros.simulator import Simulator
@@ -32,12 +34,15 @@ class Tick:
         Whether the simulation went back to its start before it.
     held : bool
         Whether its own command is lost, and it goes on as the tick before.
+    changes : tuple of mapping
+        How the interaction laws change before it, in this order, and after a reset.
     """
 
     motion: Motion
     log_time: int | None
     reset: bool = False
     held: bool = False
+    changes: tuple[Mapping[str, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +100,34 @@ def replay_ticks(session: Session) -> list[Tick]:
             ticks.append(Tick(now, at, reset=fresh and k == 0, held=True))
         ticks.append(Tick(motion, time, reset=fresh and not missing))
         last, now = time, motion
-    return ticks
+    return _with_changes(session, ticks)
+
+
+def _with_changes(session: Session, ticks: list[Tick]) -> list[Tick]:
+    """Return the ticks with the changes of the laws that came before them."""
+    recorded = [
+        (time, event["changes"])
+        for time, event in session.events
+        if event.get("event") == channels.INTERACTION_EVENT
+    ]
+    if not (recorded or session.changes_before):
+        return ticks
+    earlier = list(session.changes_before)
+    if session.before is None:  # the ticks they belong to are not known, but all are earlier
+        earlier = [(0, values) for _, values in earlier]
+    changed = []
+    for number, tick in enumerate(ticks):
+        due: list[Mapping[str, float]] = []
+        while earlier and earlier[0][0] <= number:
+            due.append(earlier.pop(0)[1])
+        while recorded and tick.log_time is not None and recorded[0][0] < tick.log_time:
+            due.append(recorded.pop(0)[1])
+        changed.append(replace(tick, changes=tuple(due)) if due else tick)
+    return changed
 
 
 def replay(
-    session: Session,
+    about: Mapping[str, str],
     simulator: Simulator,
     ticks: list[Tick],
     advance: Callable[[], object] = lambda: None,
@@ -108,8 +136,8 @@ def replay(
 
     Parameters
     ----------
-    session : Session
-        Gives tick period and frames.
+    about : mapping
+        The session's metadata: tick period and frames.
     simulator : Simulator
         At its start.
     ticks : list of Tick
@@ -122,14 +150,13 @@ def replay(
     SessionError
         When the simulator refuses a tick, with its time.
     """
-    about = session.metadata
     encoders = channels.output_encoders(about["tissue_frame"], about["base_frame"])
     outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in encoders}
-    for tick, observation in _steps(simulator, ticks, float(about["tick_period"])):
+    for tick, observation in steps(simulator, ticks, float(about["tick_period"])):
         advance()
         if tick.log_time is None:
             continue
-        stamp = round(observation.time * 1e9)
+        stamp = nanoseconds(observation.time)
         for channel, encode in encoders.items():
             times, messages = outputs[channel.role]
             times.append(tick.log_time)
@@ -139,11 +166,22 @@ def replay(
     return Replay(outputs, series, len(ticks), held)
 
 
-def _steps(simulator: Simulator, ticks: list[Tick], period: float) -> Iterator[tuple[Tick, Any]]:
+def steps(
+    simulator: Simulator, ticks: Sequence[Tick], period: float
+) -> Iterator[tuple[Tick, Observation]]:
+    """Step a simulator at its start through ticks; yield each with what is seen after it.
+
+    Raises
+    ------
+    SessionError
+        When the simulator refuses a tick, with its time.
+    """
     motion, command = STILL, STILL.command()
     for tick in ticks:
         if tick.reset:
             simulator.reset()
+        for changes in tick.changes:
+            simulator.change_interaction(changes)
         if tick.motion != motion:
             motion, command = tick.motion, tick.motion.command()
         try:

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session.motion import Motion
+from needle_sim_ros.session.replay import Tick, replay_ticks, steps
 
 if TYPE_CHECKING:
     from needle_sim_ros.observation import Observation
@@ -16,15 +15,15 @@ if TYPE_CHECKING:
     from needle_sim_ros.simulator import Simulator
 
 
-def motions_until(session: Session, tick: int) -> list[Motion]:
-    """Return the motion of every tick since the simulation's start, up to a recorded one.
+def ticks_until(session: Session, tick: int) -> list[Tick]:
+    """Return every tick since the simulation's start or last reset, up to a recorded one.
 
     Parameters
     ----------
     session : Session
         As read.
     tick : int
-        Row of the session's series; the last motion is that of this tick.
+        Row of the session's series; the last tick is this one.
 
     Raises
     ------
@@ -32,41 +31,43 @@ def motions_until(session: Session, tick: int) -> list[Motion]:
         When the session does not say what was applied before it began.
     """
     end = round(float(session.series.time[tick]) * 1e9)
-    resets = [t for t, event in session.events if event.get("event") == "reset" and t < end]
-    if resets:
-        return [motion for t, motion in session.motions if resets[-1] < t <= end]
-    if session.before is None:
-        raise SessionError(f"{session.path}: what was applied before the recording is not known")
-    before = [motion for motion, count in session.before for _ in range(count)]
-    return before + [motion for t, motion in session.motions if t <= end]
+    until = [t for t in replay_ticks(session) if t.log_time is None or t.log_time <= end]
+    start = max((k for k, t in enumerate(until) if t.reset), default=0)
+    if start == 0:
+        return until
+    # Laws that were changed stay changed over a reset.
+    earlier = tuple(change for t in until[:start] for change in t.changes)
+    first = until[start]
+    return [replace(first, changes=earlier + first.changes), *until[start + 1 :]]
 
 
 def resimulate(
-    session: Session, motions: Sequence[Motion], advance: Callable[[], object] = lambda: None
+    session: Session, ticks: Sequence[Tick], advance: Callable[[], object] = lambda: None
 ) -> tuple[Simulator, Observation]:
-    """Simulate a session's scene through motions of its ticks.
+    """Simulate a session's scene through some of its ticks.
 
     Parameters
     ----------
     session : Session
         Gives scene and tick period.
-    motions : sequence of Motion
-        From the start; see :func:`motions_until`.
+    ticks : sequence of Tick
+        From the start; see :func:`ticks_until`.
     advance : callable
         Called after each tick.
 
     Returns
     -------
     Simulator, Observation
-        In the state after the last motion, and what can be seen there.
+        In the state after the last tick, and what can be seen there.
+
+    Raises
+    ------
+    SessionError
+        When the simulator refuses a tick.
     """
     from needle_sim_ros.simulator import Simulator
 
     sim = Simulator(session.scene())
-    period = float(session.metadata["tick_period"])
-    for motion, same in groupby(motions):
-        command = motion.command()
-        for _ in same:
-            sim.step(command, period)
-            advance()
+    for _ in steps(sim, ticks, float(session.metadata["tick_period"])):
+        advance()
     return sim, sim.observe()

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything readable of a damaged file, written into a new session."""
+"""Everything readable of damaged files, written into a new session."""
 
 from __future__ import annotations
 
 import shutil
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -36,8 +37,9 @@ _Tally = dict[str, tuple[int, int]]  # number of messages and checksum of their 
 
 @dataclass(frozen=True)
 class Loss:
-    """What could not be read: place, bytes, messages if it is known how many, and why."""
+    """What could not be read: file, place, bytes, messages if it is known how many, and why."""
 
+    file: str
     offset: int
     length: int
     messages: int | None
@@ -46,7 +48,7 @@ class Loss:
 
 @dataclass(eq=False)
 class Salvaged:
-    """What became of a file.
+    """What became of a session's files.
 
     Parameters
     ----------
@@ -55,7 +57,7 @@ class Salvaged:
     messages : dict of str to int
         By topic.
     losses : list of Loss
-        In the order of the file.
+        In the order of the files.
     notes : list of str
         What else was found or put right.
     has_scene : bool
@@ -73,6 +75,8 @@ class Salvaged:
 class _Survey:
     """First pass: definitions, what stands beside the messages, and what is lost."""
 
+    source: Source
+    name: str
     definitions: Definitions = field(default_factory=Definitions)
     summary: Definitions = field(default_factory=Definitions)
     attachments: list[Attachment] = field(default_factory=list)
@@ -81,13 +85,13 @@ class _Survey:
     pieces: int = 0
 
 
-def salvage(file: Path, folder: Path) -> Salvaged:
-    """Write what can be read of a file into a new session and read that again.
+def salvage(files: Sequence[Path], folder: Path) -> Salvaged:
+    """Write what can be read of a session's files into a new session and read that again.
 
     Parameters
     ----------
-    file : Path
-        Only read.
+    files : sequence of Path
+        In the order in which they were recorded; only read.
     folder : Path
         Made here; must not exist.
 
@@ -97,14 +101,13 @@ def salvage(file: Path, folder: Path) -> Salvaged:
         When nothing of it is MCAP, or the new session cannot be written or is not read
         back as it was written; then there is no new folder.
     """
-    with Source(file) as source:
-        survey = _surveyed(source)
-        foreign = survey.losses and survey.losses[0].offset == 0
-        if foreign and not survey.pieces and survey.losses[0].reason != CUT_OFF:
-            raise SessionError(f"{file}: not an MCAP file")
+    with ExitStack() as stack:
+        surveys = [_surveyed(stack.enter_context(Source(file)), file.name) for file in files]
+        if all(map(_is_foreign, surveys)):
+            raise SessionError(f"{files[0]}: not an MCAP file")
         bag = Bag(folder)
         try:
-            result, tally = _written(bag, source, survey)
+            result, tally = _written(bag, surveys)
             _check_read_again(next(folder.glob("*.mcap")), tally)
         except OSError as error:
             bag.file.abandon()
@@ -117,11 +120,17 @@ def salvage(file: Path, folder: Path) -> Salvaged:
     return result
 
 
-def _surveyed(source: Source) -> _Survey:
-    survey, lost_chunk, summary = _Survey(), False, False
+def _is_foreign(survey: _Survey) -> bool:
+    """Return whether nothing of a file is MCAP."""
+    lost = survey.losses
+    return bool(lost) and lost[0].offset == 0 and not survey.pieces and lost[0].reason != CUT_OFF
+
+
+def _surveyed(source: Source, name: str) -> _Survey:
+    survey, lost_chunk, summary = _Survey(source, name), False, False
     for piece in walk(source):
         if isinstance(piece, Damage):
-            survey.losses.append(Loss(piece.offset, piece.length, None, piece.reason))
+            survey.losses.append(Loss(name, piece.offset, piece.length, None, piece.reason))
             lost_chunk = piece.length > 0
             continue
         survey.pieces += 1
@@ -130,7 +139,7 @@ def _surveyed(source: Source) -> _Survey:
             if lost_chunk and len(content) >= _INDEX_FIXED:
                 last = survey.losses[-1]
                 count = (last.messages or 0) + (len(content) - _INDEX_FIXED) // _INDEX_ENTRY
-                survey.losses[-1] = Loss(last.offset, last.length, count, last.reason)
+                survey.losses[-1] = replace(last, messages=count)
             continue
         lost_chunk = False
         summary = summary or piece.opcode == Opcode.DATA_END
@@ -154,37 +163,39 @@ def _take(survey: _Survey, piece: Piece) -> None:
             record = read_metadata(piece.content)
             survey.metadata[record.name] = dict(record.metadata)
     except UNREADABLE:
-        loss = Loss(piece.offset, piece.end - piece.offset, None, "a record is damaged")
-        survey.losses.append(loss)
+        length = piece.end - piece.offset
+        survey.losses.append(Loss(survey.name, piece.offset, length, None, "a record is damaged"))
 
 
-def _written(bag: Bag, source: Source, survey: _Survey) -> tuple[Salvaged, _Tally]:
-    result = Salvaged(bag.folder, losses=survey.losses)
-    _put_right(survey, result)
-    for attachment in survey.attachments:
+def _written(bag: Bag, surveys: Sequence[_Survey]) -> tuple[Salvaged, _Tally]:
+    result = Salvaged(bag.folder, losses=[loss for survey in surveys for loss in survey.losses])
+    for attachment in _put_right(surveys, result):
         bag.file.add_attachment(attachment.name, attachment.media_type, attachment.data)
-    for name, values in survey.metadata.items():
+    metadata: dict[str, dict[str, str]] = {}
+    for survey in surveys:
+        metadata = {**survey.metadata, **metadata}
+    for name, values in metadata.items():
         if name != "rosbag2":  # the new file has its own
             bag.file.add_metadata(name, values)
-    copies: dict[int, int | None] = {}
-    topics: dict[int, str] = {}
-    for number in survey.definitions.channels:
-        copies[number] = _copied(bag, number, survey, topics)
+    topics = _Topics(bag)
     tally: defaultdict[str, tuple[int, int]] = defaultdict(lambda: (0, 0))
     unknown = 0
-    for entries in _messages(source):
-        known: list[Entry] = []
-        for number, sequence, time, data in entries:
-            if number not in copies:
-                copies[number] = _copied(bag, number, survey, topics)
-            copy = copies[number]
-            if copy is None:
-                unknown += 1
-                continue
-            known.append((copy, sequence, time, data))
-            count, crc = tally[topics[copy]]
-            tally[topics[copy]] = (count + 1, zlib.crc32(data, crc))
-        bag.write(known)
+    for survey in surveys:
+        copies = {number: topics.copied(number, survey) for number in survey.definitions.channels}
+        for entries in _messages(survey.source):
+            known: list[Entry] = []
+            for number, sequence, time, data in entries:
+                if number not in copies:
+                    copies[number] = topics.copied(number, survey)
+                copy = copies[number]
+                if copy is None:
+                    unknown += 1
+                    continue
+                known.append((copy, sequence, time, data))
+                topic = topics.names[copy]
+                count, crc = tally[topic]
+                tally[topic] = (count + 1, zlib.crc32(data, crc))
+            bag.write(known)
     if bag.close():
         raise SessionError(f"cannot write {bag.folder}: no room")
     if unknown:
@@ -193,38 +204,57 @@ def _written(bag: Bag, source: Source, survey: _Survey) -> tuple[Salvaged, _Tall
     return result, dict(tally)
 
 
-def _put_right(survey: _Survey, result: Salvaged) -> None:
-    """Make description and scene agree, and say what of them is missing."""
-    about = survey.metadata.get(ABOUT)
-    scene = next((a.data for a in survey.attachments if a.name == SCENE_FILE), None)
-    result.has_scene = bool(about) and scene is not None
+def _put_right(surveys: Sequence[_Survey], result: Salvaged) -> list[Attachment]:
+    """Make description and scene agree, and say what of them is missing.
+
+    Returns the attachments, each once; of several scenes the one that is noted stands first.
+    """
+    found = {(a.name, a.data): a for survey in surveys for a in survey.attachments}
+    attachments = list(found.values())
+    about = next((s.metadata[ABOUT] for s in surveys if ABOUT in s.metadata), None)
+    scenes = [a for a in attachments if a.name == SCENE_FILE]
+    result.has_scene = bool(about) and bool(scenes)
     if about is None:
         result.notes.append("the session's description is lost: it cannot be replayed")
-    if scene is None:
+    if not scenes:
         result.notes.append("the scene is lost: it cannot be replayed")
-    if about is not None and scene is not None:
-        digest = sha256(scene).hexdigest()
-        if about.get("scene_sha256") != digest:
-            # The attachment's own checksum holds: it is the note that is wrong or missing.
-            about["scene_sha256"] = digest
-            result.notes.append("the noted checksum of the scene did not fit and was made new")
+    if about is None or not scenes:
+        return attachments
+    digests = [sha256(scene.data).hexdigest() for scene in scenes]
+    noted = about.get("scene_sha256")
+    if noted not in digests:
+        # The attachment's own checksum holds: it is the note that is wrong or missing.
+        about["scene_sha256"] = noted = digests[0]
+        result.notes.append("the noted checksum of the scene did not fit and was made new")
+    scene = scenes[digests.index(noted)]
+    return [scene, *(a for a in attachments if a.name != SCENE_FILE)]
 
 
-def _copied(bag: Bag, number: int, survey: _Survey, topics: dict[int, str]) -> int | None:
-    """Return the new id of a channel; None when its definition is lost."""
-    found, spare = survey.definitions, survey.summary
-    channel = found.channels.get(number) or spare.channels.get(number)
-    if channel is None:
-        return None
-    schema = found.schemas.get(channel.schema_id) or spare.schemas.get(channel.schema_id)
-    if schema is None:
-        return None
-    try:
-        copy = bag.copy_topic(channel, schema)
-    except UnicodeDecodeError:
-        return None
-    topics[copy] = channel.topic
-    return copy
+class _Topics:
+    """The channels of the new bag; the same topic of several files is one."""
+
+    def __init__(self, bag: Bag) -> None:
+        self._bag = bag
+        self._numbers: dict[tuple[str, str, str, bytes], int] = {}
+        self.names: dict[int, str] = {}
+
+    def copied(self, number: int, survey: _Survey) -> int | None:
+        """Return the new id of a file's channel; None when its definition is lost."""
+        found, spare = survey.definitions, survey.summary
+        channel = found.channels.get(number) or spare.channels.get(number)
+        if channel is None:
+            return None
+        schema = found.schemas.get(channel.schema_id) or spare.schemas.get(channel.schema_id)
+        if schema is None:
+            return None
+        key = (channel.topic, channel.message_encoding, schema.name, schema.data)
+        if key not in self._numbers:
+            try:
+                self._numbers[key] = self._bag.copy_topic(channel, schema)
+            except UnicodeDecodeError:
+                return None
+            self.names[self._numbers[key]] = channel.topic
+        return self._numbers[key]
 
 
 def _messages(source: Source) -> Iterator[list[Entry]]:

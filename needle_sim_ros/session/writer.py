@@ -13,7 +13,7 @@ from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.about import versions
 from needle_sim_ros.session.attached_mesh import mesh_attachment
-from needle_sim_ros.session.bag import Bag, Topic
+from needle_sim_ros.session.bag import NO_SPLIT, Bag, Split, Topic
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.history import History
 from needle_sim_ros.session.motion import Motion
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 ABOUT = "needle_sim_ros"
 SCENE_FILE = "scene.yaml"
 HISTORY_FILE = "commands_before.json"
+CHANGES_FILE = "changes_before.json"
 TISSUE_FRAME, BASE_FRAME = "tissue", "needle_base"
 
 
@@ -42,7 +43,8 @@ class SessionWriter:
     folder : Path
         Made here; must not exist.
     scene : Scene
-        What is simulated, with every override applied.
+        What is simulated, with every override applied, as it was when the simulation
+        started; `history` says what has changed since.
     tick_period : float
         The dt of every tick, s.
     names : mapping of Channel to str, optional
@@ -53,11 +55,15 @@ class SessionWriter:
         More for the session to say about itself.
     history : History, optional
         What was applied before, if the simulation is not at its start.
+    split : Split
+        When to go on in another file.
 
     Raises
     ------
+    FolderTakenError
+        When the folder exists.
     SessionError
-        When the folder exists or cannot be written, or ROS messages are not installed.
+        When it cannot be written, or ROS messages are not installed.
     """
 
     def __init__(
@@ -71,6 +77,7 @@ class SessionWriter:
         base_frame: str = BASE_FRAME,
         settings: Mapping[str, str] | None = None,
         history: History | None = None,
+        split: Split = NO_SPLIT,
     ) -> None:
         self.folder = folder
         self._encoders = channels.output_encoders(tissue_frame, base_frame)
@@ -91,16 +98,18 @@ class SessionWriter:
             **(settings or {}),
             **{f"topic.{channel.role}": name for channel, name in topics.items()},
         }
-        bag = Bag(folder)
+        bag = Bag(folder, split)
         try:
-            bag.file.add_attachment(SCENE_FILE, "application/yaml", scene_text)
+            bag.add_attachment(SCENE_FILE, "application/yaml", scene_text)
             if mesh is not None:
-                bag.file.add_attachment(mesh[0], "application/octet-stream", mesh[1])
+                bag.add_attachment(mesh[0], "application/octet-stream", mesh[1])
             if history is not None and history.ticks:
-                bag.file.add_attachment(
-                    HISTORY_FILE, "application/json", history.to_json().encode()
+                bag.add_attachment(HISTORY_FILE, "application/json", history.to_json().encode())
+            if history is not None and history.changes:
+                bag.add_attachment(
+                    CHANGES_FILE, "application/json", history.changes_json().encode()
                 )
-            bag.file.add_metadata(ABOUT, about)
+            bag.add_metadata(ABOUT, about)
             self._ids = {c: bag.add_topic(Topic(name, c.type)) for c, name in topics.items()}
         except OSError as error:
             bag.file.abandon()

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.scene import Scene
+from needle_sim_ros.scene import Region, Scene
 from needle_sim_ros.tissue.cache import Cache, key_of
 from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.direct import DirectCompliance
@@ -74,6 +74,24 @@ class BuiltTissue:
     factor: Factor
     dynamics: Dynamics
     preparation: Preparation
+
+
+def fixed_parts(scene: Scene) -> dict[str, object]:
+    """Return what of a scene the factorised tissue and its readers hang on, by key."""
+    tissue = scene.tissue
+    stiff = [(r, r.youngs_modulus, r.poisson_ratio, r.density) for r in tissue.regions]
+    regions = tuple(
+        Region(r.name, r.shape, r.center, r.size, r.axis, *material)
+        for r, *material in stiff
+        if any(value is not None for value in material)
+    )
+    return {
+        "dimension": scene.dimension,
+        "tissue": replace(tissue, regions=regions),
+        "needle.radius": scene.needle.radius,
+        "markers": scene.markers,
+        "solver": scene.solver,
+    }
 
 
 def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:

@@ -111,7 +111,8 @@ def test_the_table_is_for_people(coarse, capsys, tmp_path):
     for words in ("peak base force, contact", "tick, median", "real-time factor", " N", " mm"):
         assert words in printed.out
     assert "puncture" not in printed.out  # it did not come to that
-    assert "\033" not in printed.out and printed.err == ""
+    assert "\033" not in printed.out and "\033" not in printed.err
+    assert printed.err.startswith("tissue: ") and len(printed.err.splitlines()) == 1
 
 
 def test_the_picture_is_there(recorded):

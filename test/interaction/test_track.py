@@ -43,17 +43,12 @@ def extended(layer, track, heading):
     return layer.extend(layer.ask(layer.spread(layer.aim(track, heading))))
 
 
-def turned(direction):
-    """The heading expected a spacing on: as far again as it turned since the last."""
-    ahead = 2.0 * direction - DOWN
-    return ahead / np.linalg.norm(ahead)
-
-
-POINTS = np.cumsum([0 * DOWN, DOWN, DOWN, turned(ASIDE), ASIDE], axis=0) * SPACING
+# each heading turns the last segment, laid as it was foreseen, and the next point follows it
+POINTS = np.cumsum([0 * DOWN, DOWN, ASIDE, ASIDE, ASIDE], axis=0) * SPACING
 
 
 def test_points_stand_a_spacing_apart(track):
-    """Straight pieces along the heading; where it turns, along the heading at its middle."""
+    """Straight pieces along the headings in their middles."""
     np.testing.assert_allclose(track.points, POINTS, atol=1e-16)
     steps = np.linalg.norm(np.diff(track.points, axis=0), axis=1)
     np.testing.assert_allclose(steps, SPACING, rtol=1e-13)
@@ -67,13 +62,22 @@ def test_a_turning_track_converges_with_the_square_of_the_spacing(coarse_scene, 
         spacing = 0.04 * math.pi / 4 / count
         finer = TrackLayer(layer.coupling, layer.laws, layer._empty.table, spacing)
         track = finer.touch(np.zeros(2), DOWN)
-        for k in range(count):
-            angle = max(k - 0.5, 0.0) * spacing / 0.04  # half a spacing before the last point
+        for k in range(count + 1):
+            angle = max(k - 0.5, 0.0) * spacing / 0.04  # in the middle of the last segment
             heading = np.array([math.sin(angle), -math.cos(angle)])
             track = extended(finer, track, heading)
         end = 0.04 * np.array([1 - math.cos(math.pi / 4), -math.sin(math.pi / 4)])
-        misses.append(np.linalg.norm(track.points[-1] - end))
+        misses.append(np.linalg.norm(track.points[-2] - end))
     assert misses[1] < 0.3 * misses[0] < 0.3 * 2e-4
+
+
+def test_foresight_goes_on_turning(layer, track):
+    """The next point lies along the last heading, or as far again beyond as it turned."""
+    ahead = layer.aim(track, DOWN).ahead.point
+    last = POINTS[3] + SPACING * DOWN
+    np.testing.assert_allclose(ahead, last + SPACING * DOWN, atol=1e-16)
+    ahead = layer.aim(track, DOWN, foresight=True).ahead.point
+    np.testing.assert_allclose(ahead, last + SPACING * (2 * DOWN - ASIDE), atol=1e-16)
 
 
 def test_limits_are_those_of_the_place(track):
@@ -88,7 +92,7 @@ def test_limits_are_those_of_the_place(track):
     [
         (0.0, POINTS[0], DOWN),
         (1e-3, POINTS[1] / 2, DOWN),
-        (5e-3, (POINTS[2] + POINTS[3]) / 2, turned(ASIDE)),
+        (5e-3, (POINTS[2] + POINTS[3]) / 2, ASIDE),
         (8e-3, POINTS[4], ASIDE),
         (9e-3, POINTS[4] + 1e-3 * ASIDE, ASIDE),
     ],

@@ -74,6 +74,7 @@ class Cell:
 
     until = staticmethod(until)
     scene_changes = COARSE
+    overrides = OVERRIDES
 
     def __init__(self, domain):
         import rclpy
@@ -86,16 +87,25 @@ class Cell:
         self.sim = None
         self.clients = {}
 
-    def start(self, paused=True, **parameters):
-        """Start the simulator node; parameters' dots are written as double underscores."""
+    def spin(self, node):
+        """Spin a node in a thread of its own until the cell is closed."""
+        self.spinners.append(Spinner(node, self.context))
+
+    def start(self, paused=True, arguments=(), **parameters):
+        """Start the simulator node; parameters' dots are written as double underscores.
+
+        `arguments` are those after --ros-args.
+        """
         from rclpy.parameter import Parameter
 
         from needle_sim_ros.ros.sim_node import SimNode
 
-        given = {"scene_overrides": OVERRIDES, "command_timeout": 0.0, **parameters}
+        given = {} if arguments else {"scene_overrides": OVERRIDES, "command_timeout": 0.0}
+        given.update(parameters)
         overrides = [Parameter(k.replace("__", "."), value=v) for k, v in given.items()]
-        self.sim = SimNode(context=self.context, parameter_overrides=overrides)
-        self.spinners.append(Spinner(self.sim, self.context))
+        cli_args = ["--ros-args", *arguments] if arguments else None
+        self.sim = SimNode(context=self.context, parameter_overrides=overrides, cli_args=cli_args)
+        self.spin(self.sim)
         if paused:
             self.sim.loop.pause()
         self.sim.start()
@@ -170,9 +180,11 @@ class NodeProcess:
 
     until = staticmethod(until)
 
-    def __init__(self, domain, folder, *arguments):
+    def __init__(self, domain, folder, *arguments, managed=False):
         self.folder = Path(folder)
-        command = [sys.executable, "-m", "needle_sim_ros.ros.node", "--ros-args"]
+        command = [sys.executable, "-m", "needle_sim_ros.ros.node"]
+        command += ["--managed"] if managed else []
+        command += ["--ros-args"]
         for argument in (f"scene_overrides:={json.dumps(OVERRIDES)}", *arguments):
             command += ["-p", argument]
         self.log = (self.folder / "node.log").open("w+")
@@ -224,8 +236,8 @@ def node_process(domain, tmp_path):
     pytest.importorskip("rclpy")
     started = []
 
-    def start(*arguments):
-        started.append(NodeProcess(domain, tmp_path, *arguments))
+    def start(*arguments, folder=tmp_path, managed=False):
+        started.append(NodeProcess(domain, folder, *arguments, managed=managed))
         return started[-1]
 
     yield start

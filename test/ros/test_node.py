@@ -339,12 +339,14 @@ def test_limits_change_while_running_and_bad_values_are_refused_with_the_reason(
         double("command_timeout", math.nan),
         Parameter(name="command_timeout", value=integer),
         double("rate", 50.0),
-        double("interaction.friction.kinetic", 1.0),
+        double("interaction.friction.kinetic", 1000.0),
+        double("interaction.cutting.force", -1.0),
     ]
     results = cell.call(SetParameters, "/needle_sim/set_parameters", parameters=changes).results
-    assert [result.successful for result in results] == [True] + [False] * 5
+    assert [result.successful for result in results] == [True] + [False] * 6
     reasons = " ".join(result.reason for result in results)
-    for word in ("range", "DOUBLE", "read-only"):
+    needed = "interaction.friction.static = 23.0: must be >= interaction.friction.kinetic, 1000"
+    for word in ("range", "DOUBLE", "read-only", needed):
         assert word in reasons
     cell.until(lambda: sim.plant.commands.limits.speed == 0.002)
     cell.send(cell.publisher(TwistStamped, "/stage_velocity"), velocity(-3e-3))
@@ -363,7 +365,7 @@ def test_every_parameter_is_described(cell):
     response = cell.call(DescribeParameters, "/needle_sim/describe_parameters", names=own)
     for descriptor in response.descriptors:
         assert len(descriptor.description) > 10, descriptor.name
-        if descriptor.type == ParameterType.PARAMETER_DOUBLE and "." not in descriptor.name:
+        if descriptor.type == ParameterType.PARAMETER_DOUBLE:
             assert descriptor.floating_point_range, descriptor.name
     assert {"scene", "rate", "command_timeout", "max_base_speed", "publish_clock"} <= set(own)
     assert {"record", "tissue_frame", "base_frame", "interaction.cutting.force"} <= set(own)

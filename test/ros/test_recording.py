@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's recordings: what is published is in the bag, and nothing ends the recording."""
 
+import dataclasses
 import resource
+import shutil
 import signal
 
 import numpy as np
@@ -12,6 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -21,6 +25,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.session.reader import read_session
+from needle_sim_ros.session.replay import replay, replay_ticks
+from needle_sim_ros.session.resimulate import resimulate, ticks_until
 from needle_sim_ros.session.series import Series
 from needle_sim_ros.simulator import Simulator
 
@@ -40,6 +46,7 @@ PUBLISHED = {
     "/diagnostics": DiagnosticArray,
 }
 DT = 0.01
+SET_PARAMETERS = "/needle_sim/set_parameters"
 
 
 def velocity(z):
@@ -55,6 +62,16 @@ def pose(z):
     message.pose.position.z = float(z)
     message.pose.orientation.x, message.pose.orientation.w = 1.0, 0.0
     return message
+
+
+def string(name, value):
+    kind = ParameterType.PARAMETER_STRING
+    return Parameter(name=name, value=ParameterValue(type=kind, string_value=value))
+
+
+def double(name, value):
+    kind = ParameterType.PARAMETER_DOUBLE
+    return Parameter(name=name, value=ParameterValue(type=kind, double_value=float(value)))
 
 
 def mcap_file(folder):
@@ -191,6 +208,73 @@ def test_a_recording_that_starts_late_knows_what_came_before(cell, tmp_path):
     assert_same(session.series, replayed(session))
 
 
+def change(cell, **values):
+    """Change interaction laws, all at once; dots are written as double underscores."""
+    parameters = [double(f"interaction.{k.replace('__', '.')}", v) for k, v in values.items()]
+    name = "/needle_sim/set_parameters_atomically"
+    result = cell.call(SetParametersAtomically, name, parameters=parameters).result
+    assert result.successful, result.reason
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_laws_that_change_while_running_are_recorded_and_replayed_to_the_bit(cell, tmp_path, late):
+    sim = cell.start(record="" if late else str(tmp_path), record_root=str(tmp_path))
+    velocities = cell.publisher(TwistStamped, "/stage_velocity")
+    before = sim.plant.current_scene.interaction
+    change(cell, cutting__force=0.6)  # before the first tick
+    cell.send(velocities, velocity(-0.1))
+    cell.step(15)
+    change(cell, friction__static=50.0, friction__kinetic=45.0)  # alone, kinetic would be refused
+    cell.step(5)
+    if late:
+        sim.plant.start_recording(tmp_path)
+    cell.step(5)
+    change(cell, friction__kinetic=5.0)
+    change(cell, friction__kinetic=40.0, puncture__force=0.7)
+    cell.step(5)
+    wrench = sim.plant.last_observation.base_force[2]
+    assert cell.call(Trigger, "/needle_sim/reset").success
+    cell.send(velocities, velocity(-0.1))
+    change(cell, cutting__relaxation_time=0.5)
+    cell.step(15)
+    folder, _ = sim.plant.stop_recording()
+    session = read_session(folder)
+    assert Scene.from_yaml(session.scene_text).interaction == before
+    ticks = replay_ticks(session)
+    assert len(ticks) == 45
+    done = replay(session.metadata, Simulator(Scene.from_yaml(session.scene_text)), ticks)
+    assert_same(session.series, done.series)
+    row = 9 if late else 29  # the last tick before the reset
+    assert session.series.base_force[row, 2] == wrench
+    unchanged = replay(
+        session.metadata,
+        Simulator(Scene.from_yaml(session.scene_text)),
+        [dataclasses.replace(tick, changes=()) for tick in ticks],
+    )
+    assert abs(unchanged.series.base_force[row, 2] - wrench) > 0.1
+    until = ticks_until(session, len(session.series) - 1)
+    assert len(until) == 15
+    simulator, observation = resimulate(session, until)
+    np.testing.assert_array_equal(observation.base_force, session.series.base_force[-1])
+    assert simulator.scene.interaction == sim.plant.current_scene.interaction
+
+
+def test_a_recording_that_starts_after_a_reset_has_the_laws_of_then(cell, tmp_path):
+    sim = cell.start(record_root=str(tmp_path))
+    change(cell, cutting__force=0.6)
+    assert cell.call(Trigger, "/needle_sim/reset").success
+    folder = sim.plant.start_recording(tmp_path)
+    cell.send(cell.publisher(TwistStamped, "/stage_velocity"), velocity(-0.1))
+    cell.step(15)
+    sim.plant.stop_recording()
+    session = read_session(folder)
+    assert Scene.from_yaml(session.scene_text).interaction.cutting.force == 0.6
+    assert session.metadata["parameter.interaction.cutting.force"] == "0.6"
+    scene = Scene.from_yaml(session.scene_text)
+    done = replay(session.metadata, Simulator(scene), replay_ticks(session))
+    assert_same(session.series, done.series)
+
+
 def test_bytes_that_are_no_message_end_neither_node_nor_session(cell, tmp_path):
     cell.start(record=str(tmp_path))
     publisher = cell.publisher(PoseStamped, "/base_pose")
@@ -243,10 +327,108 @@ def test_recording_by_service_refuses_with_the_reason_and_never_overwrites(cell,
         assert cell.call(SetBool, "/needle_sim/record", data=False).success
     assert len(list(tmp_path.iterdir())) == 3
     (tmp_path / "file").write_text("")
-    cell.sim._record_folder = str(tmp_path / "file")
+    change = string("record", str(tmp_path / "file"))
+    (result,) = cell.call(SetParameters, SET_PARAMETERS, parameters=[change]).results
+    assert result.successful
     response = cell.call(SetBool, "/needle_sim/record", data=True)
     assert not response.success and "Not a directory" in response.message
     assert cell.step(1)["ticks"] == 1
+
+
+def test_nobody_records_outside_the_folder_given(cell, tmp_path):
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside.mkdir()
+    outside.mkdir()
+    (inside / "link").symlink_to(outside)
+    cell.start(record_root=str(inside))
+
+    def set_record(folder):
+        change = string("record", str(folder))
+        return cell.call(SetParameters, SET_PARAMETERS, parameters=[change]).results[0]
+
+    for folder in (outside, inside / ".." / "outside", inside / "link", "/", "/etc", ".", "~"):
+        result = set_record(folder)
+        assert not result.successful
+        assert f"must be inside {inside}" in result.reason
+    assert set_record(inside / "deeper").successful
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert response.success and response.message.startswith(str(inside / "deeper"))
+    assert cell.call(SetBool, "/needle_sim/record", data=False).success
+    (inside / "deeper").rename(inside / "was")
+    (inside / "deeper").symlink_to(outside)  # after it was checked
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert not response.success and "must be inside" in response.message
+    assert list(outside.iterdir()) == []
+    assert set_record("").successful
+    response = cell.call(SetBool, "/needle_sim/record", data=True)
+    assert response.success and response.message.startswith(str(inside))
+
+
+def test_sessions_go_on_in_other_files_when_asked_for(cell, tmp_path):
+    sim = cell.start(record=str(tmp_path), record_split_duration=0.1)
+    cell.send(cell.publisher(TwistStamped, "/stage_velocity"), velocity(-0.1))
+    cell.step(25)
+    folder, status = sim.plant.stop_recording()
+    assert status.lost == 0
+    assert len(list(folder.glob("*.mcap"))) == 3
+    changes = [double("record_split_duration", 0.0), double("record_split_size", 1.0)]
+    results = cell.call(SetParameters, SET_PARAMETERS, parameters=changes).results
+    assert all(result.successful for result in results)
+    session = read_session(folder)
+    assert len(session.series) == 25
+    assert_same(session.series, replayed(session))
+    assert cell.sim.simulation.record_folder.split.size == 1.0
+    with Reader(folder) as reader:
+        assert reader.message_count == status.written
+
+
+def test_starts_and_stops_while_moving_give_sessions_that_each_replay(cell, tmp_path):
+    sim = cell.start(record_root=str(tmp_path), rate=200.0)
+    cell.send(cell.publisher(TwistStamped, "/stage_velocity"), velocity(-0.02))
+    assert cell.call(SetBool, "/needle_sim/pause", data=False).success
+    folders = []
+    for _ in range(4):
+        response = cell.call(SetBool, "/needle_sim/record", data=True)
+        assert response.success, response.message
+        ticks = sim.plant.ticks
+        cell.until(lambda ticks=ticks: sim.plant.ticks > ticks + 10)
+        folders.append(sim.plant.recording)
+        assert cell.call(SetBool, "/needle_sim/record", data=False).success
+    assert len(set(folders)) == 4
+    for folder in folders:
+        session = read_session(folder)
+        assert session.complete and len(session.series) >= 10
+        np.testing.assert_allclose(np.diff(session.series.time), 0.005, atol=1e-9)
+    assert_same(session.series, replayed(session))
+
+
+def test_two_nodes_record_side_by_side(node_process, tmp_path):
+    place = tmp_path / "bags"
+    nodes = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        nodes.append(node_process(f"record:={place}", folder=tmp_path / name))
+    for node in nodes:
+        node.until_running()
+    nodes[0].until(lambda: len(list(place.glob("*/*.mcap"))) == 2)
+    nodes[0].until(lambda: all(file.stat().st_size > 40_000 for file in place.glob("*/*.mcap")))
+    for node in nodes:
+        status, _ = node.end()
+        assert status == 0, node.output()
+    for folder in place.iterdir():
+        session = read_session(folder)
+        assert session.complete and len(session.series) == len(session.motions) > 20
+
+
+def test_a_folder_that_is_removed_is_said_and_does_not_end_the_node(node_process, tmp_path):
+    node = node_process(f"record:={tmp_path / 'bags'}")
+    node.until_running()
+    node.until(lambda: list((tmp_path / "bags").glob("*/*.mcap")))
+    shutil.rmtree(tmp_path / "bags")
+    node.until(lambda: "was removed" in node.output())
+    status, _ = node.end()
+    assert status == 0, node.output()
+    assert "Traceback" not in node.output()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

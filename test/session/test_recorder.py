@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session import cdr
-from needle_sim_ros.session.bag import Bag, Topic, new_folder
+from needle_sim_ros.session.bag import Bag, FolderTakenError, Topic, new_folder
 from needle_sim_ros.session.recorder import Recorder
 
 TOPIC = Topic("/depth", "std_msgs/msg/Float64")
@@ -73,7 +73,8 @@ def test_a_queue_that_is_full_loses_and_counts_but_never_waits(tmp_path):
     channel = bag.add_topic(TOPIC)
     recorder = Recorder(bag, capacity=10 * (12 + 120), interval=600.0)
     start = time.monotonic()
-    recorder.write(1, [(channel, cdr.float64(k)) for k in range(25)])
+    for k in range(25):
+        recorder.write(1, [(channel, cdr.float64(k))])
     assert time.monotonic() - start < 1.0
     assert recorder.status.lost == 15
     assert recorder.status.queued == 10
@@ -81,6 +82,27 @@ def test_a_queue_that_is_full_loses_and_counts_but_never_waits(tmp_path):
     status = recorder.close()
     assert (status.written, status.lost) == (10, 15)
     assert [sequence for sequence, *_ in messages(tmp_path / "one")] == list(range(10))
+
+
+def test_many_that_begin_at_the_same_moment_get_folders_of_their_own(tmp_path):
+    now = datetime(2026, 1, 1, tzinfo=timezone.utc)
+    taken, start = [], threading.Barrier(8)
+
+    def begin():
+        start.wait()
+        while True:
+            try:
+                taken.append(Bag(new_folder(tmp_path, "scene", now)).folder)
+            except FolderTakenError:
+                continue
+            return
+
+    threads = [threading.Thread(target=begin) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(taken)) == 8 == len(list(tmp_path.iterdir()))
 
 
 def test_what_comes_after_the_end_is_counted(tmp_path):

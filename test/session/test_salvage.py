@@ -118,7 +118,7 @@ def test_a_file_cut_anywhere_gives_all_that_is_before_the_cut(whole, known, tmp_
     for k, place in enumerate(places):
         cut = tmp_path / "cut.mcap"
         cut.write_bytes(data[:place])
-        result = salvage(cut, tmp_path / f"out{k}")
+        result = salvage([cut], tmp_path / f"out{k}")
         assert cut.read_bytes() == data[:place]
         assert result.losses, place
         found = set(messages_of(new_file(result.folder)))
@@ -143,7 +143,7 @@ def test_a_flipped_bit_costs_no_more_than_its_chunk_and_nothing_false_comes_out(
         path.write_bytes(data)
         flipped = bytes(data)
         data[place] ^= bit
-        result = salvage(path, tmp_path / f"out{k}")
+        result = salvage([path], tmp_path / f"out{k}")
         assert path.read_bytes() == flipped
         found = set(messages_of(new_file(result.folder)))
         assert before(ends, place) <= found <= everything, place
@@ -156,13 +156,13 @@ def test_a_lost_chunk_is_counted(whole, known, tmp_path):
     data[ends[4][0] - 20] ^= 1  # within the last bytes of the fifth chunk's packed messages
     path = tmp_path / "flipped.mcap"
     path.write_bytes(data)
-    (loss,) = salvage(path, tmp_path / "out").losses
+    (loss,) = salvage([path], tmp_path / "out").losses
     assert "checksum" in loss.reason or "unpacked" in loss.reason or "size" in loss.reason
     assert loss.messages == len(ends[4][1])
 
 
 def test_what_is_not_damaged_is_copied_whole(whole, known, tmp_path):
-    result = salvage(whole, tmp_path / "out")
+    result = salvage([whole], tmp_path / "out")
     assert (result.losses, result.notes, result.has_scene) == ([], [], True)
     assert set(messages_of(new_file(result.folder))) == known[0]
     assert read_session(result.folder).scene_text == read_session(whole).scene_text
@@ -175,7 +175,7 @@ def test_a_session_from_before_the_scene_had_a_checksum_is_given_one(whole, tmp_
     old.write_bytes(data)
     with pytest.raises(SessionError, match=r"recorded before .* needle_sim salvage"):
         read_session(old)
-    result = salvage(old, tmp_path / "out")
+    result = salvage([old], tmp_path / "out")
     assert "checksum of the scene" in " ".join(result.notes)
     assert len(read_session(result.folder).series) == 60
 
@@ -184,14 +184,14 @@ def test_what_is_no_mcap_file_leaves_nothing_behind(tmp_path):
     path = tmp_path / "text.mcap"
     path.write_bytes(b"a text that is long enough to be searched for records " * 100)
     with pytest.raises(SessionError, match="not an MCAP file"):
-        salvage(path, tmp_path / "out")
+        salvage([path], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_an_existing_folder_is_left_alone(whole, tmp_path):
     (tmp_path / "out").mkdir()
     with pytest.raises(SessionError, match="exists"):
-        salvage(whole, tmp_path / "out")
+        salvage([whole], tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -202,7 +202,7 @@ def test_lengths_that_lie_take_no_memory(whole, known, tmp_path):
     lie = b"\x06" + (1 << 39).to_bytes(8, "little") + bytes(16) + (1 << 29).to_bytes(8, "little")
     path.write_bytes(data[:begin] + lie + data[begin:])
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    result = salvage(path, tmp_path / "out")
+    result = salvage([path], tmp_path / "out")
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak < 50_000  # KiB
     assert set(messages_of(new_file(result.folder))) == known[0]
 
@@ -231,7 +231,7 @@ def test_a_killed_recording_loses_less_than_half_a_second(tmp_path):
         time.sleep(1.3)
         process.send_signal(signal.SIGKILL)
         times += [float(line) for line in process.stdout.read().splitlines() if "." in line[:-3]]
-    result = salvage(tmp_path / "killed" / "killed_0.mcap", tmp_path / "out")
+    result = salvage([tmp_path / "killed" / "killed_0.mcap"], tmp_path / "out")
     saved = result.messages["/depth"]
     assert saved > 20
     assert times[-1] - times[saved - 1] < 0.5

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find the insertion whose tip reaches a target that moves with the tissue."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from needle_sim_ros.geometry import Vector, rotation_matrix
+from needle_sim_ros.planning.insertion import Insertion
+from needle_sim_ros.planning.quick import MaterialPoint, QuickSimulator, planning_scene
+from needle_sim_ros.planning.rollout import Outcome, roll_out
+from needle_sim_ros.planning.secant import SecantJacobian
+from needle_sim_ros.planning.task import Task, check
+from needle_sim_ros.planning.variables import Variables
+from needle_sim_ros.scene import Scene
+
+# of the tolerance, at what miss the search is content, by dimension: in 3D the end of a
+# rollout is rough by a part of a millimetre, and a search for less only wanders
+_CONTENT = {2: 0.2, 3: 0.8}
+_MOST_ROLLOUTS = 30  # from each start
+_REACH = 4e-3  # m, half width of the fine mesh about the plain aim
+_CORE = 2e-3  # m, radius at the surface of what is prepared for bevels that turn
+_SCALE = 1e-3  # m, a miss of this counts as one
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was found.
+
+    Attributes
+    ----------
+    insertion : Insertion
+    outcome : Outcome
+        Of the insertion, in the planning model.
+    plain : Outcome
+        Of the plain aim: straight at the undisplaced target.
+    plain_insertion : Insertion
+    reachable : bool
+        Whether miss and limits are met; else it is the nearest that was found.
+    violations : float
+        Largest part by which a limit is exceeded.
+    rollouts : int
+    """
+
+    insertion: Insertion
+    outcome: Outcome
+    plain: Outcome
+    plain_insertion: Insertion
+    reachable: bool
+    violations: float
+    rollouts: int
+
+
+class _Found(Exception):
+    """The search is content."""
+
+
+class Planner:
+    """Plans insertions of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    aim : Insertion, optional
+        About whose path the mesh is fine; by default the one that the scene plans.
+    reach : float, optional
+        How far about it candidate paths may lie, m.
+    progress : callable, optional
+        Called with (done, total) while the tissue is prepared.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        aim: Insertion | None = None,
+        reach: float | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        self.scene = scene
+        about = scene if aim is None else aim.scene_of(scene)
+        self.reach = _REACH if reach is None else reach
+        self.simulator = QuickSimulator(planning_scene(about, self.reach), progress)
+
+    @classmethod
+    def towards(
+        cls, scene: Scene, task: Task, progress: Callable[[int, int], None] | None = None
+    ) -> Planner:
+        """Return a planner whose mesh is fine about the plain aim at a target."""
+        check(task, scene)
+        aim = plain_aim(scene, task)
+        if "roll" in task.vary or "schedule" in task.vary:
+            return cls.all_round(scene, aim, progress)
+        return cls(scene, aim, None, progress)
+
+    @classmethod
+    def all_round(
+        cls, scene: Scene, aim: Insertion, progress: Callable[[int, int], None] | None = None
+    ) -> Planner:
+        """Return a planner for bevels that steer from an aim to any side."""
+        slope = math.tan(abs(scene.needle.tip.deviation_angle))
+        planner = cls(scene, aim, max(_REACH, slope * aim.travel), progress)
+        planner.simulator.prepare_cone(_CORE, slope)
+        return planner
+
+    def plan(self, task: Task, tick: Callable[[], object] = lambda: None) -> Plan:
+        """Find an insertion.
+
+        Parameters
+        ----------
+        task : Task
+        tick : callable
+            Called after every rollout.
+
+        Raises
+        ------
+        NeedleSimError
+            When the task is inadmissible.
+        """
+        check(task, self.scene)
+        return _Search(self.simulator, self.scene, task, self.reach, tick).run()
+
+
+def plain_aim(scene: Scene, task: Task) -> Insertion:
+    """Return the insertion that a planner without a model makes: straight at the target.
+
+    It moves the entry where that may vary, or else leans the needle, or else goes on to
+    the target's level.
+    """
+    straight = Insertion.of(scene)
+    target, axis = np.array(task.target), straight.axis
+    if "entry" in task.vary:
+        depth = target[2] / axis[2]
+        entry = target - depth * axis
+        aimed = replace(straight, entry=(float(entry[0]), float(entry[1])))
+    else:
+        start = np.array([*straight.entry, 0.0])
+        if "inclination" in task.vary:
+            straight = _leaning(straight, target - start)
+            axis = straight.axis
+        depth = float((target - start) @ axis)
+        aimed = straight
+    depth = float(depth)
+    return replace(aimed, travel=depth, reference=depth, turn_at=depth / 2)
+
+
+def _leaning(insertion: Insertion, way: Vector) -> Insertion:
+    """Lean the needle so that its axis goes a way (3,)."""
+    way, a, b = way / np.linalg.norm(way), 0.0, 0.0
+    for _ in range(20):  # the two angles nearly separate: a few rounds are exact
+        axis = replace(insertion, inclination=(a, b)).axis
+        a += math.atan2(way[0], -way[2]) - math.atan2(axis[0], -axis[2])
+        b += math.atan2(way[1], -way[2]) - math.atan2(axis[1], -axis[2])
+    return replace(insertion, inclination=(a, b))
+
+
+class _Search:
+    """The search for one target."""
+
+    def __init__(
+        self,
+        simulator: QuickSimulator,
+        scene: Scene,
+        task: Task,
+        reach: float,
+        tick: Callable[[], object],
+    ) -> None:
+        self._simulator, self._task, self._tick = simulator, task, tick
+        self._scene = scene
+        self._radius = scene.needle.radius
+        self._aim = plain_aim(scene, task)
+        self._point: MaterialPoint = simulator.material_point(task.target)
+        self._variables = Variables.of(task.vary, scene, self._aim, reach)
+        self._best: tuple[float, float, Insertion, Outcome] | None = None
+        self._rollouts = 0
+
+    def run(self) -> Plan:
+        plain = roll_out(self._simulator, self._aim, self._point)
+        self._rollouts += 1
+        try:
+            for start in self._variables.starts(self._guess(plain)):
+                self._from(start)
+                if self._met():
+                    break
+        except _Found:
+            pass
+        assert self._best is not None
+        worst, _, insertion, outcome = self._best
+        return Plan(
+            insertion.with_travel(outcome.travel),
+            outcome,
+            plain,
+            self._aim,
+            self._met(),
+            worst,
+            self._rollouts,
+        )
+
+    def _guess(self, plain: Outcome) -> dict[str, float]:
+        """Guess how the bevel has to stand, from how the plain aim was deflected.
+
+        A bevel that steers along a circle deflects the tip by a share 1 - 2 (1 - a)^2 of
+        what it can when it is turned round after the part a of the way.
+        """
+        if self._scene.dimension == 2:
+            return {}
+        axes = rotation_matrix(self._aim.orientation)[:, :2].T
+        straight = np.array([*self._aim.entry, 0.0]) + self._aim.travel * self._aim.axis
+        steered, wanted = axes @ (plain.tip - straight), axes @ (plain.target - straight)
+        angle = math.atan2(wanted[1], wanted[0]) - math.atan2(steered[1], steered[0])
+        roll = math.remainder(angle, 2 * math.pi)
+        most = float(np.linalg.norm(steered))
+        share = min(float(np.linalg.norm(wanted)) / max(most, 1e-9), 1.0)
+        part = 1 - math.sqrt((1 - share) / 2)
+        stop = min(max(part, 0.15), 0.85) * self._aim.travel
+        return {"roll": roll, "turn": math.pi, "turn_at": stop - self._aim.turn_at}
+
+    def _met(self) -> bool:
+        if self._best is None:
+            return False
+        worst, miss, _, outcome = self._best
+        return worst <= 1e-6 and miss <= self._task.tolerance and not outcome.stopped
+
+    def _from(self, start: Vector) -> None:
+        low, high = self._variables.bounds()
+        jacobian = SecantJacobian(self._residuals, self._variables.steps())
+        least_squares(
+            jacobian.function,
+            np.clip(start, low, high),
+            jac=jacobian,
+            bounds=(low, high),
+            xtol=1e-5,
+            ftol=1e-6,
+            gtol=1e-9,
+            max_nfev=_MOST_ROLLOUTS,
+        )
+
+    def _residuals(self, x: Vector) -> Vector:
+        insertion = self._variables.apply(self._aim, x)
+        outcome = roll_out(self._simulator, insertion, self._point, arrive=True)
+        self._rollouts += 1
+        self._tick()
+        over = self._task.limits.violations(outcome, self._radius)
+        worst, miss = max(over, default=0.0), outcome.miss
+        if outcome.stopped:
+            worst = max(worst, 1.0)
+        if self._best is None or _badness(worst, miss) < _badness(*self._best[:2]):
+            self._best = (worst, miss, insertion, outcome)
+        if worst <= 1e-6 and miss <= _CONTENT[self._scene.dimension] * self._task.tolerance:
+            raise _Found
+        return np.concatenate([outcome.gap / _SCALE, 3.0 * np.array(over)])
+
+
+def _badness(worst: float, miss: float) -> float:
+    return miss + (3.0 * worst * _SCALE if worst > 1e-6 else 0.0)

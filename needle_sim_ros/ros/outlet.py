@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the plant's messages go: to the topics that somebody hears, and into the session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from needle_sim_ros.errors import SessionError
+from needle_sim_ros.session.bag import FolderTakenError, Split, new_folder
+from needle_sim_ros.session.channels import Channel
+from needle_sim_ros.session.recorder import RecorderStatus
+from needle_sim_ros.session.writer import SessionWriter
+
+if TYPE_CHECKING:
+    from needle_sim_ros.scene import Scene
+    from needle_sim_ros.session.history import History
+
+_NAMES = 100  # tries for a folder's name that no other node takes at the same time
+
+
+@dataclass(frozen=True)
+class Sink:
+    """Where a topic's bytes go, and whether anybody wants them."""
+
+    wanted: Callable[[], object]
+    publish: Callable[[bytes], object]
+
+
+@dataclass(frozen=True)
+class Naming:
+    """Frame ids, resolved topic names, and what else a session says about itself."""
+
+    tissue_frame: str
+    base_frame: str
+    topics: Mapping[Channel, str] = field(default_factory=dict)
+    settings: Callable[[], Mapping[str, str]] = dict
+
+
+class Outlet:
+    """Publishes what is wanted, records everything; nothing is made in vain.
+
+    Parameters
+    ----------
+    naming : Naming
+        For the sessions.
+    sinks : mapping of Channel to Sink
+        Where messages are published; a topic without a sink is only recorded.
+    """
+
+    def __init__(self, naming: Naming, sinks: Mapping[Channel, Sink]) -> None:
+        self._naming = naming
+        self._sinks = sinks
+        self._session: SessionWriter | None = None
+        self._ended = RecorderStatus()
+        self.epoch = 0  # what resets have to add to stamps, so that log time never goes back
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the session being recorded."""
+        session = self._session
+        return None if session is None else session.folder
+
+    @property
+    def status(self) -> RecorderStatus:
+        """Where the recording stands, or how the last one ended."""
+        session = self._session
+        return self._ended if session is None else session.status
+
+    def emit(self, stamp: int, messages: Iterable[tuple[Channel, Callable[[], bytes]]]) -> None:
+        """Publish and record messages of one simulated time, ns, as far as they are wanted."""
+        session, recorded, sinks = self._session, [], self._sinks
+        for channel, encode in messages:
+            sink = sinks.get(channel)
+            wanted = sink is not None and sink.wanted()
+            if wanted or session is not None:
+                data = encode()
+                recorded.append((channel, data))
+                if sink is not None and wanted:
+                    sink.publish(data)
+        if session is not None:
+            session.write(self.epoch + stamp, recorded)
+
+    def record(self, stamp: int, channel: Channel, data: bytes) -> None:
+        """Record a message, if a session is being recorded."""
+        session = self._session
+        if session is not None:
+            session.write(self.epoch + stamp, [(channel, data)])
+
+    def publish(self, channel: Channel, data: bytes) -> None:
+        """Publish on a topic that has a sink, and do not record."""
+        sink = self._sinks.get(channel)
+        if sink is not None:
+            sink.publish(data)
+
+    def start(
+        self, parent: Path, scene: Scene, period: float, history: History, split: Split
+    ) -> Path:
+        """Begin a session in a new folder of `parent`; return the folder.
+
+        Raises
+        ------
+        SessionError
+            When one is being recorded already, or none can be.
+        """
+        if self._session is not None:
+            raise SessionError(f"already recording in {self._session.folder}")
+        naming = self._naming
+        for attempt in range(_NAMES):
+            folder = new_folder(parent, scene.name)
+            try:
+                self._session = SessionWriter(
+                    folder,
+                    scene,
+                    period,
+                    names=naming.topics,
+                    tissue_frame=naming.tissue_frame,
+                    base_frame=naming.base_frame,
+                    settings=naming.settings(),
+                    history=history,
+                    split=split,
+                )
+            except FolderTakenError:  # another node took the name just now
+                if attempt + 1 == _NAMES:
+                    raise
+            else:
+                break
+        self.epoch = 0  # resets before it are no business of this session's
+        return folder
+
+    def detach(self) -> SessionWriter:
+        """Return the session being recorded, into which nothing goes any more.
+
+        Raises
+        ------
+        SessionError
+            When none is being recorded.
+        """
+        session = self._session
+        if session is None:
+            raise SessionError("not recording")
+        self._session = None
+        return session
+
+    def finish(self, session: SessionWriter, timeout: float) -> RecorderStatus:
+        """Finish a detached session; return how it ended. Waits for the disk."""
+        self._ended = session.close(timeout)
+        return self._ended

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node's publishers as sinks of bytes that know whether anybody listens."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from needle_sim_ros.ros.outlet import Sink
+from needle_sim_ros.session import channels
+from needle_sim_ros.session.channels import Channel
+
+_RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class Outputs:
+    """Publishers of everything that the node says; :meth:`refresh` them now and then.
+
+    Parameters
+    ----------
+    node : Node
+        Publishes.
+    clock : bool
+        Whether ``/clock`` is among the topics.
+
+    Attributes
+    ----------
+    sinks : dict of Channel to Sink
+    """
+
+    def __init__(self, node: Node, clock: bool) -> None:
+        self._node = node
+        self._publishers: list[Publisher] = []
+        self._hearers: list[_Hearers] = []
+        self.sinks: dict[Channel, Sink] = {}
+        for channel in (
+            *channels.OUTPUTS,
+            *channels.RECORDS,
+            *((channels.CLOCK,) if clock else ()),
+        ):
+            self.sinks[channel] = self._sink(channel)
+
+    def destroy(self) -> None:
+        """Take the publishers off the node."""
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
+
+    def refresh(self) -> None:
+        """Ask the middleware who listens."""
+        for hearers in self._hearers:
+            hearers.refresh()
+
+    def _sink(self, channel: Channel) -> Sink:
+        package, _, kind = channel.type.split("/")
+        message = getattr(import_module(f"{package}.msg"), kind)
+        publisher = self._node.create_publisher(message, channel.name, _RELIABLE)
+        hearers = _Hearers(publisher)
+        self._publishers.append(publisher)
+        self._hearers.append(hearers)
+        return Sink(hearers.any, publisher.publish)
+
+
+class _Hearers:
+    """Whether a topic has subscribers, as last asked.
+
+    Asking for every topic in every tick took a tenth of a tick; the middleware's own
+    event is dearer still, since the executor then looks at one more thing per topic.
+    """
+
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
+        self._any = False
+
+    def refresh(self) -> None:
+        self._any = self._publisher.get_subscription_count() > 0
+
+    def any(self) -> bool:
+        return self._any

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that makes a ROS node the simulator: built on a node, and taken off again.
+
+The plain node and the managed node differ only in when they do this.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from rclpy.clock import Clock
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+
+from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.ros import interaction_parameters, parameters
+from needle_sim_ros.ros.clock_loop import ClockLoop
+from needle_sim_ros.ros.commands import StageCommands
+from needle_sim_ros.ros.diagnostics import Diagnostics
+from needle_sim_ros.ros.identification import Identification
+from needle_sim_ros.ros.inputs import Inputs
+from needle_sim_ros.ros.outlet import Naming
+from needle_sim_ros.ros.outputs import Outputs
+from needle_sim_ros.ros.planning import Planning
+from needle_sim_ros.ros.plant import Plant
+from needle_sim_ros.ros.priority import take_priority, uninterrupted
+from needle_sim_ros.ros.services import Services
+from needle_sim_ros.session import channels
+from needle_sim_ros.session.channels import Channel
+
+_DIAGNOSTICS_PERIOD = 1.0  # s
+_HEARERS_PERIOD = 0.05  # s, after which a new subscriber is noticed
+_CLOCK_POLL = 1e-3  # s, how often a clock from outside is looked at
+
+
+class Simulation:
+    """Plant, clock loop, topics, services and parameters on a node.
+
+    Parameters
+    ----------
+    node : Node
+        Any node; takes its parameters from it.
+
+    Attributes
+    ----------
+    plant : Plant
+    loop : ClockLoop
+    outputs : Outputs
+    priority : str
+        With which the clock loop runs.
+    active : bool
+        Whether it may tick; a managed node that is not activated may not.
+
+    Raises
+    ------
+    NeedleSimError
+        When parameters or scene cannot be used, or the record folder cannot be written.
+        What was put on the node until then is taken off again.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._undo: list[Callable[[], object]] = []
+        self._beside: list[Callable[[], object]] = []  # ends what runs beside the ticks
+        self._lost = 0
+        self._inputs: Inputs | None = None
+        self.active = True
+        self.priority = "normal"
+        try:
+            self._build()
+        except BaseException:
+            self._take_off()
+            raise
+
+    def start(self, on_error: Callable[[BaseException], object] = lambda error: None) -> None:
+        """Begin to tick; `on_error` is told when ticking ends by an unexpected error."""
+
+        def failed(error: BaseException) -> None:
+            self._node.get_logger().fatal(f"the clock loop ended: {error!r}")
+            on_error(error)
+
+        self.loop.start(failed, self._take_priority)
+        scene, rate = self.plant.scene.name, 1 / self.plant.period
+        self._node.get_logger().info(f"simulating {scene} at {rate:g} Hz")
+
+    def close(self) -> None:
+        """Stop ticking, take no commands, finish the recording; needs a valid context."""
+        while self._beside:
+            self._beside.pop()()
+        self.loop.stop()
+        if self._inputs is not None:
+            self._inputs.stop()
+        if self.plant.recording is not None:
+            folder, status = self.plant.stop_recording()
+            self._node.get_logger().info(
+                f"recorded {status.written} messages in {folder}"
+                + (f", lost {status.lost}: {status.error}" if status.error else "")
+            )
+
+    def destroy(self) -> None:
+        """Close, and take everything but the parameters off the node."""
+        self.close()
+        self._take_off()
+
+    def _take_off(self) -> None:
+        while self._undo:
+            self._undo.pop()()
+
+    def _build(self) -> None:
+        node = self._node
+        self._settings = settings = parameters.declare(node)
+        self.record_folder = settings.record_folder
+        self.outputs = Outputs(node, settings.publish_clock)
+        self._undo.append(self.outputs.destroy)
+        everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
+        naming = Naming(
+            settings.tissue_frame,
+            settings.base_frame,
+            {channel: self._resolved(channel) for channel in everything},
+            partial(parameters.recorded, node),
+        )
+        commands = StageCommands(settings.tissue_frame, settings.limits)
+        self.plant = Plant(
+            settings.scene, settings.period, commands, naming, self.outputs.sinks, self._warn
+        )
+        self.loop = self._make_loop()
+        if settings.record:
+            record = self.record_folder
+            folder = self.plant.start_recording(record.path(), record.split)
+            node.get_logger().info(f"recording in {folder}")
+            self._undo.append(self.close)
+        self._inputs = inputs = Inputs(node, self.plant, self._warn)
+        self._undo.append(inputs.destroy)
+        services = Services(
+            node,
+            self.plant,
+            self.loop,
+            self.outputs.refresh,
+            lambda: self.record_folder,
+            lambda: self.active,
+        )
+        self._undo.append(services.destroy)
+        name = node.get_fully_qualified_name()[1:]
+        planning = Planning(node, self.plant, settings.tissue_frame)
+        self._beside.append(planning.close)
+        self._undo.append(planning.close)
+        identification = Identification.wanted(node, self.plant)
+        if identification is not None:
+            self._beside.append(identification.close)
+            self._undo.append(identification.destroy)
+        self._diagnostics = Diagnostics(
+            self.plant, self.loop, inputs.publishers, lambda: self.priority, name
+        )
+        hearers = node.create_timer(_HEARERS_PERIOD, self.outputs.refresh, clock=Clock())
+        self._undo.append(partial(node.destroy_timer, hearers))
+        timer = node.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock())
+        self._undo.append(partial(node.destroy_timer, timer))
+        validate = partial(parameters.validate, node, self)
+        node.add_on_set_parameters_callback(validate)
+        self._undo.append(partial(node.remove_on_set_parameters_callback, validate))
+        node.add_post_set_parameters_callback(self._parameters_set)
+        self._undo.append(partial(node.remove_post_set_parameters_callback, self._parameters_set))
+
+    def _take_priority(self) -> None:
+        self.priority = take_priority(self._settings.realtime_priority)
+
+    def _resolved(self, channel: Channel) -> str:
+        name: str = self._node.resolve_topic_name(channel.name)
+        return name
+
+    def _make_loop(self) -> ClockLoop:
+        period, tick = self._settings.period, uninterrupted(self.plant.tick)
+        if not self._node.get_parameter("use_sim_time").value:
+            return ClockLoop(tick, period)
+        clock = self._node.get_clock()
+        return ClockLoop(
+            tick,
+            period,
+            now=lambda: int(clock.now().nanoseconds),
+            sleep=lambda remaining: time.sleep(min(remaining, _CLOCK_POLL)),
+        )
+
+    def _warn(self, message: str) -> None:
+        count = self.plant.commands.rejected_count
+        self._node.get_logger().warning(f"{message} ({count} so far)", throttle_duration_sec=1.0)
+
+    def _parameters_set(self, changes: list[Parameter]) -> None:
+        node = self._node
+        self.plant.commands.limits = parameters.current_limits(node)
+        self.record_folder = replace(
+            self.record_folder,
+            folder=parameters.current_record(node),
+            split=parameters.current_split(node),
+        )
+        laws = interaction_parameters.changes_in(self.plant.current_scene, changes)
+        if laws:
+            try:
+                self.plant.change_interaction(laws)
+            except NeedleSimError as error:  # validated before: somebody was faster
+                node.get_logger().error(f"interaction not changed: {error}")
+        for change in changes:
+            if not change.name.startswith(interaction_parameters.PREFIX):
+                self.plant.event("parameter", name=change.name, value=change.value)
+
+    def _diagnose(self) -> None:
+        if not gc.isenabled():
+            gc.collect()
+        data = serialize_message(self._diagnostics.message())
+        self.outputs.sinks[channels.DIAGNOSTICS].publish(data)
+        self.plant.record(channels.DIAGNOSTICS, data)
+        status = self.plant.recorder_status
+        if self.plant.recording is not None and status.lost > self._lost:
+            self._node.get_logger().error(f"{status.lost} messages not recorded: {status.error}")
+        self._lost = status.lost

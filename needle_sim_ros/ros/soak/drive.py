@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole soak, part after part, each with nodes of its own."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needle_sim_ros.ros.domain import free_domain
+from needle_sim_ros.ros.soak.endings import end_nodes
+from needle_sim_ros.ros.soak.hostility import provoke
+from needle_sim_ros.ros.soak.load import load
+
+if TYPE_CHECKING:
+    from needle_sim_ros.benchmark.soak import Plan
+    from needle_sim_ros.scene import Scene
+
+Figures = dict[str, float | None]
+
+
+def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figures:
+    """Soak the node.
+
+    Parameters
+    ----------
+    scene : Scene
+        What it simulates.
+    plan : Plan
+        How long and how often.
+    advance : callable
+        Told of the share of the work done since the last call.
+    """
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    with tempfile.TemporaryDirectory(prefix="needle_sim_soak_") as folder:
+        place = Path(folder)
+        os.environ.setdefault("ROS_LOG_DIR", str(place / "log"))
+        (place / "scene.yaml").write_text(scene.to_yaml(), encoding="utf-8")
+        parameters: dict[str, object] = {"scene": str(place / "scene.yaml"), "rate": plan.rate}
+        domain = free_domain()
+        total = plan.seconds
+        loaded = load(
+            parameters,
+            domain,
+            place,
+            plan.steady,
+            plan.crowd,
+            plan.cycles,
+            lambda seconds: advance(seconds / total),
+        )
+        share = plan.hostile_seconds / total / plan.hostile
+        hostility = provoke(
+            scene,
+            parameters,
+            domain,
+            place / "hostile.log",
+            plan.hostile,
+            lambda number: advance(number * share),
+        )
+        endings = end_nodes(
+            parameters, domain, place, plan.endings, lambda: advance(plan.ending_seconds / total)
+        )
+    latencies = np.array(loaded.latencies) * plan.rate
+    measured = len(latencies) > 0
+    return {
+        "ticks": loaded.ticks,
+        "overrun_fraction": loaded.overruns / max(1, loaded.ticks + loaded.overruns),
+        "lost_messages": loaded.lost,
+        "missing_ticks_recorded": loaded.gaps,
+        "rss_growth_mb": loaded.rss_growth,
+        "open_files_growth": loaded.files_growth,
+        "tick_p50_ms": 1e3 * loaded.tick_p50,
+        "tick_p99_ms": 1e3 * loaded.tick_p99,
+        "lateness_p99_ms": 1e3 * loaded.lateness_p99,
+        "realtime_priority": float(loaded.realtime),
+        "latency_median_ticks": float(np.median(latencies)) if measured else None,
+        "latency_p99_ticks": float(np.percentile(latencies, 99)) if measured else None,
+        "latency_samples": len(latencies),
+        "crowd_ticks": loaded.crowd_ticks,
+        "crowd_overrun_fraction": loaded.crowd_overruns
+        / max(1, loaded.crowd_ticks + loaded.crowd_overruns),
+        "recordings_started": loaded.cycles,
+        "hostile_messages": hostility.messages,
+        "hostile_steps": hostility.steps,
+        "state_changes_by_hostile_messages": hostility.changed,
+        "kill9_count": len(endings.losses),
+        "kill9_worst_loss_s": max(endings.losses, default=None),
+        "kill9_salvaged": endings.salvaged,
+        "sigterm_count": len(endings.durations),
+        "sigterm_worst_s": max(endings.durations, default=None),
+        "sigterm_clean": endings.clean,
+    }
