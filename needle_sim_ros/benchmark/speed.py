@@ -120,7 +120,7 @@ def speed(
             for command in own[round(number * share) : round((number + 1) * share)]:
                 run.tick(command, dt)
         if progress is not None:
-            progress(round((number + 1) * len(hurried) / blocks), len(hurried))
+            progress(round((number + 1) * len(fewer) / blocks), len(fewer))
     result = BenchmarkResult("speed", scene.name, _figures(scene, runs), _rows(runs))
     result.table += _parts(scene, commands, runs["tick"])
     if scene.dimension == 2:  # in 3D each variant would be a set-up of its own
