@@ -145,6 +145,11 @@ class Simulator:
         """Number of displacements of the tissue that are not fixed."""
         return len(self._model.free)
 
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the tissue's mesh."""
+        return self._model.nodes
+
     def step(self, command: BaseCommand, dt: float) -> Observation:
         """Move the base for a tick and find out what needle and tissue do.
 

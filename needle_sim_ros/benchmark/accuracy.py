@@ -34,7 +34,6 @@ from needle_sim_ros.benchmark.variants import (
     variants,
 )
 from needle_sim_ros.command import BaseCommand
-from needle_sim_ros.errors import SceneError
 from needle_sim_ros.protocol import protocol_commands
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
@@ -85,7 +84,9 @@ class Measured:
 
 
 @dataclass
-class _Bench:
+class Runs:
+    """Runs of a scene with some keys changed, each measured once."""
+
     scene: Scene
     pacer: Pacer | None
     progress: Progress | None
@@ -132,7 +133,7 @@ def accuracy(
     Parameters
     ----------
     scene : Scene
-        Two-dimensional.
+        In 3D see :func:`~needle_sim_ros.benchmark.accuracy_3d.accuracy_3d`.
     quick : bool
         Fewer settings, a reference that is less fine, and the protocol moved four times as
         fast: as deep, in a quarter of the ticks, with puncture, hold and retraction.
@@ -144,19 +145,16 @@ def accuracy(
     BenchmarkResult
         Errors are fractions of the largest magnitude of each quantity in the reference; a
         figure is the largest over all quantities and the whole protocol.
-
-    Raises
-    ------
-    SceneError
-        When the scene is not two-dimensional.
     """
-    if scene.dimension != 2:
-        raise SceneError("dimension", scene.dimension, "must be 2 for this benchmark")
+    if scene.dimension == 3:
+        from needle_sim_ros.benchmark.accuracy_3d import accuracy_3d
+
+        return accuracy_3d(scene, quick, progress)
     if quick:
         scene = hurried(scene, _QUICK)
     covered = not scene.tissue.regions
     runs = variants(scene, quick)
-    bench = _Bench(
+    bench = Runs(
         scene, Pacer(scene) if covered else None, progress, len(runs) + (9 if quick else 10)
     )
     result = BenchmarkResult("accuracy", scene.name)
@@ -167,7 +165,7 @@ def accuracy(
     for variant in runs:
         measured = bench.measure(variant.changes)
         found = errors(measured.trajectory, best[variant.method].trajectory)
-        row = _row(section, variant, measured, found)
+        row = row_of(section, variant, measured, found)
         result.table.append(row)
         if variant.name == "default":
             result.figures[f"default.{variant.method}.max_error"] = found.worst
@@ -177,7 +175,7 @@ def accuracy(
             variant = Variant(method, PAPER, method_changes(scene, method))
             measured = bench.measure(variant.changes, paper=True)
             found = errors(measured.trajectory, best[method].trajectory)
-            result.table.append(_row(section, variant, measured, found))
+            result.table.append(row_of(section, variant, measured, found))
             if method == _full(own_method(scene)):
                 result.figures["paper.max_error"] = found.worst
     result.table += checks
@@ -198,7 +196,7 @@ def _unknowns(simulator: Simulator | PaperSimulator) -> int:
     return int(simulator.tissue.stiffness.shape[0])
 
 
-def _references(bench: _Bench, scene: Scene, quick: bool) -> tuple[dict[str, Measured], list[Row]]:
+def _references(bench: Runs, scene: Scene, quick: bool) -> tuple[dict[str, Measured], list[Row]]:
     """Run the references, and what shows that they are converged."""
     finest, coarser = references(scene, quick)
     best, rows = {}, []
@@ -225,10 +223,11 @@ def _references(bench: _Bench, scene: Scene, quick: bool) -> tuple[dict[str, Mea
 def _check(section: str, variant: Variant, run: Measured, finer: Measured) -> Row:
     """Return the row of a run that is compared with another than the reference."""
     found = errors(run.trajectory, finer.trajectory)
-    return _row(section, variant, run, found) | {"compared": False}
+    return row_of(section, variant, run, found) | {"compared": False}
 
 
-def _row(section: str, variant: Variant, run: Measured, found: Errors) -> Row:
+def row_of(section: str, variant: Variant, run: Measured, found: Errors) -> Row:
+    """Return the table's row of a run."""
     row: Row = {"section": section, "method": variant.method, "run": variant.name}
     row |= {"unknowns": run.unknowns, "max_error": found.worst}
     row |= found.largest

@@ -190,10 +190,11 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
 def _tip(simulator: Simulator, contact: ContactState) -> float:
     """Return how far the tip force is out of its bounds."""
     assert contact.track is not None
-    laws = simulator._contact_laws.laws
-    most = laws.at(contact.track.points[0]).puncture
+    # a bound that jumps at an interface is met within a step: the highest so far counts
+    passed = [s.limits for s in contact.track.stretches if s.depth <= contact.front]
+    most = contact.track.stretches[0].limits.puncture
     ripple = 1.0 + simulator.scene.interaction.cutting.ripple.amplitude
     if contact.inserted:  # the opening comes on top of the cutting force
-        most = max(most, laws.at(contact.track.at(contact.front)).cutting) * ripple
+        most = max(most, *(max(x.cutting, x.puncture) for x in passed)) * ripple
     beyond = max(contact.tip - most, -contact.tip, 0.0)
     return 0.0 if beyond == 0 else beyond / max(most, _TINY)

@@ -12,9 +12,11 @@ import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from needle_sim_ros.benchmark import scaling_3d
 from needle_sim_ros.benchmark.result import BenchmarkResult, Row
 from needle_sim_ros.benchmark.trajectory import Recorded, hurried
 from needle_sim_ros.errors import SceneError
@@ -48,19 +50,23 @@ def scaling(
     quick: bool = False,
     progress: Progress | None = None,
     sides: Sequence[int] | None = None,
+    sizes_3d: dict[str, dict[str, Any]] | None = None,
 ) -> BenchmarkResult:
     """Measure a scene on uniform grids of growing size.
 
     Parameters
     ----------
     scene : Scene
-        Two-dimensional; its protocol is moved eight times as fast.
+        Two-dimensional; its protocol is moved eight times as fast. What grows in 3D is the
+        mesh of a scene of its own.
     quick : bool
         Stop at 100 000 unknowns: the literal grid's figures are None.
     progress : callable, optional
         Called with (done, total) ticks and set-ups, all together.
     sides : sequence of int, optional
         Nodes along each side of the grids instead of the usual ones; ascending.
+    sizes_3d : dict, optional
+        See :func:`~needle_sim_ros.benchmark.scaling_3d.scaling_3d`.
 
     Returns
     -------
@@ -78,7 +84,7 @@ def scaling(
     sides = sides or (_QUICK_SIDES if quick else _SIDES)
     scene = hurried(scene.with_changes({"solver.dynamics": "quasi_static"}), _HASTE)
     commands = protocol_commands(scene.protocol, scene.solver.time_step)
-    steps = _Steps(progress, (len(sides) + 1) * len(commands))
+    steps = _Steps(progress, (len(sides) + 1) * len(commands) + scaling_3d.ticks())
     small = _made(scene, _SMALL)
     result = BenchmarkResult("scaling", scene.name)
     names = ("literal_grid_over_1061_nodes", "literal_grid_setup_s", "literal_grid_peak_gib")
@@ -94,6 +100,9 @@ def scaling(
     result.figures["largest_grid_unknowns"] = result.table[-1]["unknowns"]
     result.figures["largest_grid_over_1061_nodes"] = result.table[-1]["over_1061_nodes"]
     result.table += _against_track(scene, steps)
+    rows, figures = scaling_3d.scaling_3d(_peak_gib, steps.one, sizes_3d)
+    result.table += rows
+    result.figures |= figures
     return result
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from needle_sim_ros.benchmark.long_run import long_run
 from needle_sim_ros.benchmark.result import BenchmarkResult, Row
 from needle_sim_ros.benchmark.stability_cells import cells
+from needle_sim_ros.benchmark.stability_cells_3d import cells_3d
 from needle_sim_ros.benchmark.stability_run import CellResult, run_cell
 from needle_sim_ros.scene import Scene
 
@@ -52,9 +53,11 @@ def stability(
         that are not refused by their scene, the failed ones included.
     """
     count, ticks = (QUICK_CELLS, QUICK_TICKS) if quick else (CELLS, TICKS)
+    chosen = cells(count) + cells_3d(quick, count)
+    count = len(chosen)
     total = count * _TICKS_A_CELL + ticks
     results = []
-    for number, cell in enumerate(cells(count)):
+    for number, cell in enumerate(chosen):
         results.append(run_cell(cell))
         if progress is not None:
             progress((number + 1) * _TICKS_A_CELL, total)
@@ -66,6 +69,7 @@ def stability(
     long = long_run(ticks, progress=advance)
     figures: dict[str, float | None] = {
         "cells": len(results),
+        "cells_3d": sum(result.cell.dimension == 3 for result in results),
         "held": sum(result.verdict == "held" for result in results),
         "refused": sum(result.verdict == "refused" for result in results),
         "failed": sum(result.verdict == "failed" for result in results),
@@ -129,7 +133,7 @@ def _row(result: CellResult) -> Row:
     cell = result.cell
     levels = {name: value for name, value in cell.level.items() if name != "dynamics"}
     return {
-        "section": "cells; friction, cutting and presliding per E x thickness",
+        "section": f"cells in {cell.dimension}D; friction, cutting, presliding per E x thickness",
         "cell": cell.number,
         "motion": cell.motion,
         "dynamics": cell.dynamics,

@@ -75,6 +75,11 @@ class Cell:
     ends_in_hold: bool = field(default=False)
 
     @property
+    def dimension(self) -> int:
+        """Of its scene."""
+        return int(self.scene["dimension"])
+
+    @property
     def dynamics(self) -> str:
         """How the tissue moves: quasi_static, newmark or reduced."""
         return DYNAMICS[int(self.level["dynamics"])]

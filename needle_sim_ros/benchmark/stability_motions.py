@@ -27,10 +27,12 @@ class Move:
     ticks: int
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turning: float = 0.0
+    spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def command(self) -> BaseCommand:
         """Return the command of each tick."""
-        return BaseCommand(velocity=self.velocity, angular_velocity=(0.0, self.turning, 0.0))
+        x, y, z = self.spin
+        return BaseCommand(velocity=self.velocity, angular_velocity=(x, y + self.turning, z))
 
 
 @dataclass

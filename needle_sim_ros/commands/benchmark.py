@@ -24,7 +24,9 @@ DESCRIPTION = """Run one of the package's benchmarks and print its table and fig
 ratios within one run, so that they mean something on any machine."""
 EXAMPLES = (
     "benchmark speed --quick",
-    "benchmark speed --scene gao2016_steel --json speed.json",
+    "benchmark speed gao2016_steel --json speed.json",
+    "benchmark accuracy bevel_gelatin_22g --quick",
+    "benchmark tips",
     "benchmark accuracy --quick --plot pareto.png",
     "benchmark accuracy --quick --budget 0.5ms",
     "benchmark accuracy --quick --error 1%",
@@ -43,11 +45,14 @@ _KNOWN = (
     "rollouts",
     "plan",
     "identify",
+    "tips",
 )
 _NODE = {
     "speed": ("needle_sim_ros.ros.loop_measurement", "measure_loop"),
     "soak": ("needle_sim_ros.ros.soak.drive", "drive"),
 }
+# what a benchmark runs on unless told: the scene that it is about
+_SCENES = {"tips": "bevel_gelatin_22g"}
 
 
 def available() -> list[str]:
@@ -61,7 +66,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     names = available()
     parser.add_argument("benchmark", metavar="NAME", choices=names, help=f"{', '.join(names)}")
-    parser.add_argument("--scene", metavar="SCENE", default="gao2016", help="default: gao2016")
+    parser.add_argument("positional", metavar="SCENE", nargs="?", help="default: gao2016")
+    parser.add_argument("--scene", metavar="SCENE", help="the same")
     parser.add_argument("--quick", action="store_true", help="a smaller version, for a first look")
     add_set(parser)
     add_json(parser)
@@ -118,7 +124,11 @@ def execute(args: argparse.Namespace) -> int:
     """Run the benchmark; print and write its result."""
     check_writable(args.json)
     _check_options(args)
-    scene = load_scene(args.scene, args.overrides)
+    if args.positional is not None and args.scene is not None:
+        raise NeedleSimError(f"--scene {args.scene}: a scene is given already, {args.positional}")
+    scene = load_scene(
+        args.positional or args.scene or _SCENES.get(args.benchmark, "gao2016"), args.overrides
+    )
     benchmark = getattr(import_module(f"{_PACKAGE}.{args.benchmark}"), args.benchmark)
     with progress(1, f"benchmark {args.benchmark}", unit="step") as bar:
 

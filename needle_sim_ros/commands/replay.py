@@ -154,9 +154,7 @@ def _imported(bag: Path) -> bool:
 def _scene(args: argparse.Namespace, session: Session) -> Scene:
     if args.scene is not None:
         return load_scene(args.scene, args.overrides)
-    from needle_sim_ros.scene import Scene
-
-    scene = Scene.from_yaml(session.scene_text)
+    scene = session.scene()
     return scene.with_changes(parse_overrides(args.overrides)) if args.overrides else scene
 
 

@@ -119,14 +119,13 @@ def _add_comparison(page: Page, session: Session) -> dict[str, Any]:
     """Simulate the session again; add how far that is from the recording, and return it."""
     from dataclasses import asdict
 
-    from needle_sim_ros.scene import Scene
     from needle_sim_ros.session.compare import compare
     from needle_sim_ros.session.replay import replay, replay_ticks
     from needle_sim_ros.simulator import Simulator
     from needle_sim_ros.view.overlay import overlay_figure
 
     ticks = replay_ticks(session)
-    simulator = Simulator(Scene.from_yaml(session.scene_text))
+    simulator = Simulator(session.scene())
     with progress(len(ticks), "replaying") as bar:
         done = replay(session.metadata, simulator, ticks, bar.update)
     differences, compared = compare(session.series, done.series)

@@ -21,6 +21,7 @@ from needle_sim_ros.interaction.growth import SETTLED, TrackGrowth
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.stretches import tip_bound
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
@@ -285,10 +286,8 @@ class Contact:
         """Return what the tip bears: cutting while it advances, less and less in a hold."""
         if not engaged:
             return TipLimit(0.0, self._bevel)
-        local = self.laws.at(track.at(front) if self.laws.vary else track.points[0])
-        cutting = self.laws.cutting(local.cutting, front)
-        if front < self._bevel:
-            cutting += self.laws.opening(self.laws.at(track.points[0]), front, self._bevel)
+        mean, opening = tip_bound(track.stretches, front, self._bevel)
+        cutting = self.laws.cutting(mean, front) + opening
         if advance <= STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)

@@ -42,6 +42,7 @@ class Coupling:
     def __init__(self, model: TissueModel, radius: float) -> None:
         self._model, self.radius = model, radius
         across, along, _ = spacings(model.scene)
+        self._along_spacing = along
         count = max(_ON_CHORD, math.ceil(_PER_CELL * 2 * radius / across))
         self._chord, self._chord_weight = np.polynomial.legendre.leggauss(count)
         count = max(_ON_SIDE, math.ceil(_PER_CELL * model.scene.solver.track_spacing / along))
@@ -74,7 +75,9 @@ class Coupling:
 
     def ahead(self, point: Vector, direction: Vector, reach: float) -> Index:
         """Return the nodes that a track from a point along a unit direction will touch."""
-        steps = np.linspace(0.0, reach, _AHEAD)[:, None, None] * direction
+        # no layer of elements may be missed
+        count = max(_AHEAD, 1 + math.ceil(reach / self._along_spacing))
+        steps = np.linspace(0.0, reach, count)[:, None, None] * direction
         section, _ = self._section(direction)
         places = (point + steps + section[None, :, :]).reshape(-1, len(point))
         nodes, values, inside = self._model.shape_functions(places)

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 SETTLED = 0.02
 # parts of a segment that the tip has passed at each stage; the point is laid at the last.
 # The midpoint rule makes the path converge with the square of the spacing.
-_FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.6, 0.7, 0.8, 0.9
+_FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.58, 0.66, 0.74, 0.98
+# ... and from there to each component that is weighed
+_EACH = 0.08
 
 
 class TrackGrowth:
@@ -97,7 +99,7 @@ class TrackGrowth:
                     return track
                 track = layer.ask(track)
             elif ahead.row is None:
-                if passed < _WEIGHED:
+                if passed < _WEIGHED + _EACH * len(ahead.columns):
                     return track
                 track = layer.weigh(track)
             elif passed >= _LAID:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +24,15 @@ class LocalLaws:
         Friction per length, N/m.
     cutting, puncture : float
         Axial force at the tip, N.
+    membrane : int
+        Number of the region that says the puncture force; -1 outside of such.
     """
 
     static: float
     kinetic: float
     cutting: float
     puncture: float
+    membrane: int = -1
 
 
 class Laws:
@@ -62,9 +66,9 @@ class Laws:
         """Return the limits at a point of the mesh, shape (d,)."""
         if not self.vary:
             return self._common
-        limits = asdict(self._common)
+        limits: dict[str, Any] = asdict(self._common)
         world = in_space(point)
-        for region in self._regions:
+        for number, region in enumerate(self._regions):
             if not in_region(self._scene, region, world):
                 continue
             own = {
@@ -72,6 +76,7 @@ class Laws:
                 "kinetic": region.friction_kinetic,
                 "cutting": region.cutting_force,
                 "puncture": region.puncture_force,
+                "membrane": None if region.puncture_force is None else number,
             }
             limits |= {name: value for name, value in own.items() if value is not None}
         limits["static"] = max(limits["static"], limits["kinetic"])
@@ -89,15 +94,6 @@ class Laws:
         left *= static - kinetic
         left += kinetic
         return left
-
-    def opening(self, local: LocalLaws, depth: float, bevel: float) -> float:
-        """Return how much more than the cutting force the tip bears just after puncture, N.
-
-        The broken surface opens as the bevel enters: the puncture force falls to the
-        cutting force over the bevel length, so that no result hangs on the tick at which
-        the surface breaks.
-        """
-        return (local.puncture - local.cutting) * max(0.0, 1.0 - depth / bevel)
 
     def cutting(self, force: float, depth: float) -> float:
         """Return the cutting force at a depth, N, with its periodic ripple (line AB)."""

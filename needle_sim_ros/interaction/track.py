@@ -14,15 +14,19 @@ from typing import NamedTuple
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction import stretches
 from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
 
-# track spacings ahead of the tip for which responses are prepared
-_FORESEEN = 14
+# how far ahead of the tip responses are prepared: track spacings, and at least so many m
+_FORESEEN, _AT_LEAST = 14, 0.03
 # ... and after how many new points they are looked at again
 _EVERY = 4
+# where on the pieces before and after a point the friction there is looked up
+_NEAR = (-0.375, -0.125, 0.125, 0.375)
 
 
 class NextPoint(NamedTuple):
@@ -37,8 +41,10 @@ class NextPoint(NamedTuple):
     footprint : Footprint or None
     asked : bool
         Whether what comes after it was asked for.
+    columns : tuple of ndarray
+        The first columns of its row of the response table.
     row : ResponseRow or None
-        Its row of the response table.
+        The row.
     """
 
     turning: Footprint | None
@@ -46,6 +52,7 @@ class NextPoint(NamedTuple):
     heading: Vector | None = None
     footprint: Footprint | None = None
     asked: bool = False
+    columns: tuple[Vector, ...] = ()
     row: ResponseRow | None = None
 
 
@@ -65,6 +72,8 @@ class Track:
         One row per point.
     directions : ndarray, shape (n - 1, d)
         Of the segments, unit vectors.
+    stretches : tuple of Stretch
+        Where the limits at the tip change.
     heading : ndarray, shape (d,), or None
         Unit direction of the cut in the middle of the segment before the last.
     ahead : NextPoint or None
@@ -77,6 +86,7 @@ class Track:
     kinetic: Vector
     table: ResponseTable
     directions: Vector
+    stretches: tuple[Stretch, ...] = ()
     heading: Vector | None = None
     ahead: NextPoint | None = None
 
@@ -93,26 +103,41 @@ class Track:
     def _with(
         self, point: Vector, row: ResponseRow, laws: Laws, heading: Vector | None = None
     ) -> Track:
-        limits = laws.at(point)
         last = self.points[-1:]
         direction = (point - last) / self.spacing  # none where there is no last point
+        limits = _rubbing(laws, point, self.spacing * direction)
+        begun = self.stretches or stretches.first(laws, point)
+        if self.count:
+            start = (self.count - 1) * self.spacing
+            begun = stretches.onward(
+                begun, laws, start, self.points[-1], point - self.points[-1], self.spacing
+            )
         return Track(
             self.spacing,
             np.vstack([self.points, point]),
-            np.append(self.static, limits.static),
-            np.append(self.kinetic, limits.kinetic),
+            np.append(self.static, limits[0]),
+            np.append(self.kinetic, limits[1]),
             self.table.appended(row),
             np.vstack([self.directions, direction]),
+            begun,
             heading,
         )
 
     def with_limits(self, laws: Laws) -> Track:
         """Return the track with the friction limits of changed laws."""
-        limits = [laws.at(point) for point in self.points]
+        pieces = [self.points[:0], *(self.points[1:] - self.points[:-1])[:, None]]
+        pairs = zip(self.points, pieces, strict=True)
+        limits = np.array([_rubbing(laws, point, piece) for point, piece in pairs])
+        begun = stretches.first(laws, self.points[0])
+        for k, (point, piece) in enumerate(
+            zip(self.points[:-1], np.diff(self.points, axis=0), strict=True)
+        ):
+            begun = stretches.onward(begun, laws, k * self.spacing, point, piece, self.spacing)
         return replace(
             self,
-            static=np.array([limit.static for limit in limits]),
-            kinetic=np.array([limit.kinetic for limit in limits]),
+            stretches=begun,
+            static=limits[:, 0],
+            kinetic=limits[:, 1],
         )
 
     def at(self, depth: float) -> Vector:
@@ -127,6 +152,21 @@ class Track:
 
     def _segment(self, depth: float) -> int:
         return int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
+
+
+def _rubbing(laws: Laws, point: Vector, piece: Vector) -> tuple[float, float]:
+    """Return static and kinetic friction at a point, means over half a piece to either side.
+
+    `piece` (1, d) is the one that ends there; at the entry there is none, (0, d).
+    """
+    if not laws.vary or not len(piece):
+        limits = laws.at(point)
+        return limits.static, limits.kinetic
+    near = [laws.at(point + part * piece[0]) for part in _NEAR]
+    return (
+        sum(limits.static for limits in near) / len(near),
+        sum(limits.kinetic for limits in near) / len(near),
+    )
 
 
 class TrackLayer:
@@ -208,21 +248,26 @@ class TrackLayer:
         assert ahead is not None and ahead.point is not None
         if track.count % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
-            nodes = self.coupling.ahead(ahead.point, direction, _FORESEEN * track.spacing)
+            reach = max(_FORESEEN * track.spacing, _AT_LEAST)
+            nodes = self.coupling.ahead(ahead.point, direction, reach)
             track.table.compliance.expect(nodes)
         return replace(track, ahead=ahead._replace(asked=True))
 
     def weigh(self, track: Track) -> Track:
-        """Find out how the tissue answers at the next point, and to forces on it."""
-        ahead = track.ahead
+        """Find out how the tissue answers to forces on the next point, one component more."""
+        ahead, table = track.ahead, track.table
         assert ahead is not None and ahead.footprint is not None
-        return replace(track, ahead=ahead._replace(row=track.table.row(ahead.footprint)))
+        known = ahead.columns
+        if len(known) + 1 == table.compliance.dimension:
+            return replace(track, ahead=ahead._replace(row=table.row(ahead.footprint, known)))
+        known = (*known, table.column(ahead.footprint, len(known)))
+        return replace(track, ahead=ahead._replace(columns=known))
 
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""
         if track.ahead is None or track.ahead.footprint is None:
             track = self.spread(track)
-        if track.ahead is None or track.ahead.row is None:
+        while track.ahead is None or track.ahead.row is None:
             track = self.weigh(track)
         ahead = track.ahead
         assert ahead is not None and ahead.point is not None and ahead.row is not None

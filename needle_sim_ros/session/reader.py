@@ -16,7 +16,9 @@ from mcap_ros2.decoder import DecoderFactory
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.resources import bags_directory
+from needle_sim_ros.scene import Scene
 from needle_sim_ros.session import channels, decode
+from needle_sim_ros.session.attached_mesh import attached_mesh, recorded_scene
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.content import Content, read_contents
 from needle_sim_ros.session.history import changes_from_json, motions_from_json
@@ -63,6 +65,8 @@ class Session:
         The outputs.
     tick_times : (k,) array
         Wall-clock time of the recorded ticks, s; empty where they were not recorded.
+    mesh : (str, bytes) or None
+        Name and content of the mesh file that the tissue is from.
     """
 
     path: Path
@@ -76,6 +80,11 @@ class Session:
     inputs: list[tuple[int, str, Any]]
     series: Series
     tick_times: Array
+    mesh: tuple[str, bytes] | None = None
+
+    def scene(self) -> Scene:
+        """Return the scene that was recorded, on its recorded mesh."""
+        return recorded_scene(self.scene_text, self.mesh)
 
 
 def mcap_files(path: str | Path) -> list[Path]:
@@ -213,6 +222,7 @@ def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
         inputs=_inputs(content, about),
         series=series_of(recorded_messages(content, about), scene_text, about),
         tick_times=_tick_times(content, about),
+        mesh=attached_mesh(content.attachments),
     )
 
 

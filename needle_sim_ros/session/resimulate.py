@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from needle_sim_ros.scene import Scene
 from needle_sim_ros.session.replay import Tick, replay_ticks, steps
 
 if TYPE_CHECKING:
@@ -66,6 +65,6 @@ def resimulate(
     """
     from needle_sim_ros.simulator import Simulator
 
-    sim = Simulator(Scene.from_yaml(session.scene_text))
+    sim = Simulator(session.scene())
     for tick, observation in steps(sim, ticks, float(session.metadata["tick_period"])):
         yield tick, sim, observation

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session import cdr, channels
 from needle_sim_ros.session.about import versions
+from needle_sim_ros.session.attached_mesh import mesh_attachment
 from needle_sim_ros.session.bag import NO_SPLIT, Bag, Split, Topic
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.history import History
@@ -84,6 +85,7 @@ class SessionWriter:
         everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
         topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
         scene_text = scene.to_yaml().encode()
+        mesh = mesh_attachment(scene)
         about = {
             "scene": scene.name,
             "scene_sha256": sha256(scene_text).hexdigest(),
@@ -99,6 +101,8 @@ class SessionWriter:
         bag = Bag(folder, split)
         try:
             bag.add_attachment(SCENE_FILE, "application/yaml", scene_text)
+            if mesh is not None:
+                bag.add_attachment(mesh[0], "application/octet-stream", mesh[1])
             if history is not None and history.ticks:
                 bag.add_attachment(HISTORY_FILE, "application/json", history.to_json().encode())
             if history is not None and history.changes:

@@ -287,44 +287,41 @@ class NodalCompliance:
         read[:, :capacity] = self._read
         self._blocks, self._read = blocks, read
 
-    def response(self, footprint: Footprint, at: Index) -> tuple[Vector, Vector]:
-        """Return the response to unit forces spread by a footprint.
+    def column(self, footprint: Footprint, at: Index, component: int) -> Vector:
+        """Return the displacement (k, d) of nodes per unit force component on a footprint.
 
         Parameters
         ----------
         footprint : Footprint
+            Over which the force is spread.
         at : ndarray of int, shape (k,)
             Nodes to read.
-
-        Returns
-        -------
-        at_nodes : ndarray, shape (d, k, d)
-            Displacement component b of each node per unit force component a.
-        at_readers : ndarray, shape (r, d)
-            Displacement at the readers per unit force component.
+        component : int
+            Of the force.
         """
-        at_nodes = self._at_nodes(footprint, at)
-        d, slots = self._d, self._slot[footprint.nodes]
-        at_readers = np.empty((self._read.shape[0], d))
-        for a in range(d):
-            columns = self._read[:, d * slots + a]
-            at_readers[:, a] = (columns * footprint.weights).sum(axis=1)
-        return at_nodes, at_readers
+        return np.asarray(self._at_nodes(footprint, at, (component,))[0])
 
-    def _at_nodes(self, footprint: Footprint, at: Index) -> Vector:
+    def at_readers(self, footprint: Footprint) -> Vector:
+        """Return the displacement at the readers, (r, d), per unit force component."""
+        self.ensure(footprint.nodes)
+        d, slots = self._d, self._slot[footprint.nodes]
+        columns = [(self._read[:, d * slots + a] * footprint.weights).sum(axis=1) for a in range(d)]
+        return np.stack(columns, axis=1)
+
+    def _at_nodes(self, footprint: Footprint, at: Index, components: tuple[int, ...]) -> Vector:
         self.ensure(footprint.nodes)
         self.ensure(at)
         self._complete(footprint.nodes, at)
         d, rows, places = self._d, self._d * self._slot[footprint.nodes], self._slot[at]
-        at_nodes = np.empty((d, len(at), d))
+        at_nodes = np.empty((len(components), len(at), d))
         if len(at) == 0:
             return at_nodes
         low = int(places.min())
         read, places = slice(d * low, d * (int(places.max()) + 1)), places - low
-        for a in range(d):
+        for number, a in enumerate(components):
             # sums node by node: unlike a product it gives the same bits whatever is read
             summed = np.einsum("k,kn->n", footprint.weights, self._blocks[rows + a, read])
-            at_nodes[a] = summed.reshape(-1, d)[places]
+            at_nodes[number] = summed.reshape(-1, d)[places]
         return at_nodes
 
     def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:
@@ -338,7 +335,9 @@ class NodalCompliance:
             Forces on them, N.
         footprint : Footprint
         """
-        return np.einsum("akb,kb->a", self._at_nodes(footprint, loaded), loads)
+        return np.einsum(
+            "akb,kb->a", self._at_nodes(footprint, loaded, tuple(range(self._d))), loads
+        )
 
     def _unknowns(self, nodes: Index) -> Index:
         """Return the places of the components of nodes among the free unknowns, -1 if held."""

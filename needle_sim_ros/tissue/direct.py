@@ -21,6 +21,8 @@ from needle_sim_ros.tissue.mesh import Index
 class DirectCompliance(NodalCompliance):
     """Keeps no responses: each is solved for when asked, whatever came before."""
 
+    _latest: tuple[Footprint, dict[int, Vector]] | None = None
+
     def prepare(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Do nothing: where the footprints will be is known when the track is laid."""
         return 0
@@ -32,15 +34,28 @@ class DirectCompliance(NodalCompliance):
     def expect(self, nodes: Index) -> None:
         """Do nothing."""
 
-    def response(self, footprint: Footprint, at: Index) -> tuple[Vector, Vector]:
-        """Return the response to unit forces spread by a footprint; d solves.
+    def column(self, footprint: Footprint, at: Index, component: int) -> Vector:
+        """Return the displacement (k, d) of nodes per unit force component; one solve."""
+        return expand(self._model, self._unit(footprint, component))[at]
 
-        Shapes as those of :meth:`NodalCompliance.response`.
+    def at_readers(self, footprint: Footprint) -> Vector:
+        """Return the displacement at the readers, (r, d), after the columns without a solve."""
+        columns = [self._unit(footprint, a) for a in range(self.dimension)]
+        return np.asarray(self.reader_matrix @ np.stack(columns, axis=1))
+
+    def _unit(self, footprint: Footprint, component: int) -> Vector:
+        """Return the displacements (free,) under a unit force component on a footprint.
+
+        Those of the footprint asked for last are kept.
         """
-        loads = np.einsum("k,ab->kab", footprint.weights, np.eye(self.dimension))
-        moved = self._solved(footprint.nodes, loads)
-        at_nodes = np.stack([expand(self._model, u)[at] for u in moved.T])
-        return at_nodes, np.asarray(self.reader_matrix @ moved)
+        if self._latest is None or self._latest[0] is not footprint:
+            self._latest = (footprint, {})
+        known = self._latest[1]
+        if component not in known:
+            axis = np.eye(self.dimension)[component]
+            loads = np.multiply.outer(footprint.weights, axis)[:, None, :]
+            known[component] = self._solved(footprint.nodes, loads)[:, 0]
+        return known[component]
 
     def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:
         """Return the static displacement of a footprint, (d,), under loads; one solve."""

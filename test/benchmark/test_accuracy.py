@@ -7,7 +7,6 @@ from needle_sim_ros import Scene
 from needle_sim_ros.benchmark.accuracy import accuracy
 from needle_sim_ros.benchmark.recommend import recommend
 from needle_sim_ros.benchmark.variants import variants
-from needle_sim_ros.errors import SceneError
 from needle_sim_ros.view.files import save_figure
 from needle_sim_ros.view.pareto import front, pareto_figure
 
@@ -93,10 +92,3 @@ def test_variants_are_admissible_scenes():
         assert len({(run.method, run.name) for run in runs}) == len(runs) > 10
         for run in runs:
             scene.with_changes(run.changes)
-
-
-def test_three_dimensions_are_refused():
-    scene = Scene.load("gao2016")
-    object.__setattr__(scene, "dimension", 3)
-    with pytest.raises(SceneError, match="dimension"):
-        accuracy(scene)

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from needle_sim_ros import Scene
+from needle_sim_ros.benchmark import scaling_3d
 from needle_sim_ros.benchmark.parts import MANY, MEMBERS, costs
 from needle_sim_ros.benchmark.scaling import scaling
 
@@ -19,6 +20,13 @@ SMALL = {
         {"duration": 0.8, "velocity": [0.0, 0.0, 0.01]},
     ],
 }
+COARSE = {
+    "tissue.mesh.spacing_across": 4e-3,
+    "tissue.mesh.spacing_along": 8e-3,
+    "tissue.mesh.growth": 4.0,
+    "solver.track_spacing": 8e-3,
+}
+SOLID = {"small": COARSE, "large": COARSE}
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +36,9 @@ def scene():
 
 def test_grids(scene):
     seen = []
-    result = scaling(scene, progress=lambda *where: seen.append(where), sides=(9, 33))
+    result = scaling(
+        scene, progress=lambda *where: seen.append(where), sides=(9, 33), sizes_3d=SOLID
+    )
     grids = [row for row in result.table if "grid" in row]
     assert [row["nodes"] for row in grids] == [81, 1089]
     assert [row["unknowns"] for row in grids] == [2 * 7 * 8, 2 * 31 * 32]
@@ -38,7 +48,8 @@ def test_grids(scene):
     assert seen[-1][0] == seen[-1][1]
     track = [row for row in result.table if "track_points" in row]
     assert [row["track_points"] for row in track][:2] == ["0 to 9", "10 to 19"]
-    assert sum(row["ticks"] for row in track) == len(seen) / 3
+    assert sum(row["ticks"] for row in track) == (len(seen) - scaling_3d.ticks()) / 3
+    assert result.figures["tick_3d_100k_over_small"] > 0
 
 
 def test_parts(scene):

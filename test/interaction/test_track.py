@@ -81,8 +81,10 @@ def test_foresight_goes_on_turning(layer, track):
 
 
 def test_limits_are_those_of_the_place(track):
-    np.testing.assert_array_equal(track.static, [16, 16, 16, 40, 40])  # the layer from 5 mm on
-    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 30, 30])
+    """Means over half a piece to either side: the layer begins at 5 mm, and three of the
+    four places about the fourth point lie in it."""
+    np.testing.assert_array_equal(track.static, [16, 16, 16, 34, 40])
+    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 26, 30])
 
 
 @pytest.mark.parametrize(
@@ -113,4 +115,4 @@ def test_changed_laws_reach_the_points(coarse_scene, track):
     changed = track.with_limits(Laws(scene))
     np.testing.assert_array_equal(changed.static, [9.0] * 5)
     np.testing.assert_array_equal(changed.kinetic, [7.0] * 5)
-    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 30, 30])
+    np.testing.assert_array_equal(track.kinetic, [14, 14, 14, 26, 30])
