@@ -196,7 +196,7 @@ class Solver:
     `time_step` is the tick of `needle_sim run` and, with Newmark, the step of the
     effective matrix. `modes` (Newmark only): 0 keeps every unknown; a number keeps that
     many lowest modes dynamic and the rest by their massless response. `factorization` is
-    the library that factorises the tissue's matrix; auto takes the fastest installed.
+    the library that factorises the tissue's matrix; auto takes the fastest installed in 3D.
     """
 
     dynamics: Literal["quasi_static", "newmark"] = "quasi_static"

@@ -21,7 +21,10 @@ def versions(scene: Scene | None = None) -> dict[str, str]:
     """
     if scene is None:
         return dict(_versions())
-    return {**_versions(), "factorization": choose(scene.solver.factorization).name}
+    return {
+        **_versions(),
+        "factorization": choose(scene.solver.factorization, scene.dimension).name,
+    }
 
 
 @cache

@@ -104,7 +104,7 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
         Called with (done, total) while the path is prepared.
     """
     began = time.perf_counter()
-    library = choose(scene.solver.factorization)
+    library = choose(scene.solver.factorization, scene.dimension)
     model = TissueModel(scene)
     rule = NewmarkRule.of(scene)
     full = scene.solver.dynamics == "newmark" and scene.solver.modes == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which library factorises, and why: the fastest that is installed, or the one asked for."""
+"""Which library factorises, and why: in 3D the fastest installed, or the one asked for."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ class Choice:
         return f"{self.name} ({_PACKAGES[self.name]} {self.version})"
 
 
-def choose(wanted: str = "auto") -> Choice:
+def choose(wanted: str = "auto", dimension: int = 3) -> Choice:
     """Return the library to use.
 
     Parameters
     ----------
     wanted : str
         ``solver.factorization`` of a scene.
+    dimension : int
+        Of the scene: in 2D the embedded library is fast enough, and what is installed beside
+        it then changes no bit of a result.
 
     Raises
     ------
@@ -38,6 +41,8 @@ def choose(wanted: str = "auto") -> Choice:
     """
     found = {name: _installed(package) for name, package in _PACKAGES.items()}
     here = [name for name, number in found.items() if number]
+    if wanted == "auto" and dimension == 2:
+        return Choice("superlu", found["superlu"], "always there, and fast enough in 2D")
     if wanted == "auto":
         name = here[0]
         reason = "the fastest installed"

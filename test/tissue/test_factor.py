@@ -119,6 +119,7 @@ def test_the_fastest_installed_is_taken(monkeypatch):
 
     only("scipy", "pypardiso")
     assert str(choose()) == "pardiso (pypardiso 1.2.3)"
+    assert choose(dimension=2).name == "superlu"
     assert choose("superlu").name == "superlu"
     only("scipy")
     assert choose().name == "superlu" and "[fast]" in choose().reason
