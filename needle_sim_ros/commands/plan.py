@@ -20,9 +20,9 @@ from needle_sim_ros.commands.output import (
 from needle_sim_ros.errors import NeedleSimError
 
 if TYPE_CHECKING:
-    from needle_sim_ros.planning.planner import Plan
+    from needle_sim_ros.planning.corrected import VerifiedPlan
+    from needle_sim_ros.planning.planner import Plan, Planner
     from needle_sim_ros.planning.task import Task
-    from needle_sim_ros.planning.verify import Verified
     from needle_sim_ros.scene import Scene
 
 NAME = "plan"
@@ -98,6 +98,7 @@ def execute(args: argparse.Namespace) -> int:
     _check_study(args, scene)
 
     from needle_sim_ros.planning.planner import Planner
+    from needle_sim_ros.planning.verify import protocol_scene
 
     with progress(1, f"preparing {scene.name}", unit="part") as bar:
 
@@ -110,22 +111,30 @@ def execute(args: argparse.Namespace) -> int:
     with progress(0, "planning", unit="rollout") as bar:
         plan = planner.plan(task, bar.update)
     seconds = time.perf_counter() - began
-    planned, verified = _verified(args, scene, plan, task)
+    found = None if args.no_verify else _verified(planner, task, plan)
+    verified = None
+    reachable = plan.reachable
+    if found is not None:
+        plan, verified, reachable = found.plan, found.verified, found.reachable
+    planned = protocol_scene(scene, plan.insertion, task.target)
     figures: dict[str, Any] = {
-        "miss_m": plan.outcome.miss,
-        "peak_force_n": plan.outcome.peak_force,
+        "miss_m": plan.outcome.miss if verified is None else verified.miss,
+        "peak_force_n": plan.outcome.peak_force if verified is None else verified.peak_force,
         "plain_aim_miss_m": plan.plain.miss,
         "verified_miss_m": None if verified is None else verified.miss,
-        "deflection_m": plan.outcome.deflection,
+        "planned_miss_m": plan.outcome.miss,
+        "deflection_m": plan.outcome.deflection if verified is None else verified.deflection,
         "clearance_m": _clearance(scene, plan, task),
         "rollouts": plan.rollouts,
+        "corrections": None if found is None else found.corrections,
         "planning_s": seconds,
     }
-    _print(scene, plan, task, figures)
+    _print(scene, plan, task, reachable, figures)
     result = {
         "scene": scene.name,
         "target": list(task.target),
-        "reachable": plan.reachable,
+        "reachable": reachable,
+        "figures_of": "planning model" if verified is None else "full model",
         "figures": figures,
         "insertion": _insertion(plan),
         "base": planned.to_dict()["base"],
@@ -143,7 +152,7 @@ def execute(args: argparse.Namespace) -> int:
     if args.uncertainty is not None:
         result["uncertainty"] = _study(args, planner.simulator.scene, plan, task)
     write_json(args.json, result)
-    return 0 if plan.reachable else 1
+    return 0 if reachable else 1
 
 
 def _task(args: argparse.Namespace, scene: Scene) -> Task:
@@ -179,22 +188,17 @@ def _check_study(args: argparse.Namespace, scene: Scene) -> None:
         check_version(args.study)
 
 
-def _verified(
-    args: argparse.Namespace, scene: Scene, plan: Plan, task: Task
-) -> tuple[Scene, Verified | None]:
-    """Return the planned scene, and how its protocol ends in the full model."""
-    from needle_sim_ros.planning.verify import protocol_scene, verify
+def _verified(planner: Planner, task: Task, plan: Plan) -> VerifiedPlan:
+    """Run the plan in the full model, and plan again where it misses there."""
+    from needle_sim_ros.planning.corrected import plan_verified
 
-    planned = protocol_scene(scene, plan.insertion, task.target)
-    if args.no_verify:
-        return planned, None
     with progress(1, "running the plan in the full model") as bar:
 
         def advance(done: int, total: int) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        return planned, verify(planned, advance)
+        return plan_verified(planner, task, plan, progress=advance)
 
 
 def _clearance(scene: Scene, plan: Plan, task: Task) -> float | None:
@@ -218,7 +222,7 @@ def _insertion(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _print(scene: Scene, plan: Plan, task: Task, figures: dict[str, Any]) -> None:
+def _print(scene: Scene, plan: Plan, task: Task, reachable: bool, figures: dict[str, Any]) -> None:
     def mm(value: float | None) -> str:
         return "-" if value is None else f"{1e3 * value:.3f} mm"
 
@@ -226,17 +230,19 @@ def _print(scene: Scene, plan: Plan, task: Task, figures: dict[str, Any]) -> Non
     degrees = [f"{math.degrees(angle):.2f}" for angle in insertion.inclination]
     rows = [
         ("target", ", ".join(f"{1e3 * x:g}" for x in task.target) + " mm"),
-        ("moves to", ", ".join(f"{1e3 * x:.2f}" for x in plan.outcome.target) + " mm"),
+        ("moves to", ", ".join(f"{1e3 * x:.2f}" for x in plan.outcome.target + plan.bias) + " mm"),
         ("entry", ", ".join(f"{1e3 * x:.3f}" for x in insertion.entry) + " mm"),
         ("inclination", ", ".join(degrees) + " deg"),
         ("depth", mm(insertion.travel)),
-        ("miss", mm(figures["miss_m"])),
         ("miss of the plain aim", mm(figures["plain_aim_miss_m"])),
+        ("miss in the planning model", mm(figures["planned_miss_m"])),
         ("miss in the full model", mm(figures["verified_miss_m"])),
         ("peak force", f"{figures['peak_force_n']:.3f} N"),
         ("largest deflection", mm(figures["deflection_m"])),
-        ("rollouts", f"{figures['rollouts']} in {figures['planning_s']:.2f} s"),
+        ("rollouts", f"{figures['rollouts']}, found in {figures['planning_s']:.2f} s"),
     ]
+    if figures["corrections"]:
+        rows.append(("corrections by the full model", str(figures["corrections"])))
     if scene.dimension == 3:
         turn = f"{math.degrees(insertion.roll):.1f} deg"
         if insertion.turn:
@@ -248,7 +254,7 @@ def _print(scene: Scene, plan: Plan, task: Task, figures: dict[str, Any]) -> Non
             4, ("sideways motion of the base", f"{offset} mm over {mm(insertion.reference)}")
         )
     print(table(rows, title=scene.name, align="<<"))
-    if not plan.reachable:
+    if not reachable:
         why = (
             f", and a limit is exceeded by {100 * plan.violations:.2g} %" if plan.violations else ""
         )
@@ -263,7 +269,9 @@ def _study(args: argparse.Namespace, scene: Scene, plan: Plan, task: Task) -> di
     from needle_sim_ros.planning.uncertainty import Uncertainty
 
     uncertainty = Uncertainty.load(args.uncertainty, scene)
-    study = Study(scene, plan.insertion, task.target, uncertainty)
+    # a corrected plan aims beside the target in the planning model, by its known bias
+    place = [float(x) for x in plan.aimed_at(task.target)]
+    study = Study(scene, plan.insertion, tuple(place), uncertainty)
     with (
         executor(args.workers, args.dask) as pool,
         progress(args.samples, "samples", unit="sample") as bar,

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -23,6 +24,7 @@ from needle_sim_ros.scene import Scene
 # rollout is rough by a part of a millimetre, and a search for less only wanders
 _CONTENT = {2: 0.2, 3: 0.8}
 _MOST_ROLLOUTS = 30  # from each start
+_MOST_AGAIN = 8  # from a plan, once the model's bias is known
 _REACH = 4e-3  # m, half width of the fine mesh about the plain aim
 _CORE = 2e-3  # m, radius at the surface of what is prepared for bevels that turn
 _SCALE = 1e-3  # m, a miss of this counts as one
@@ -45,6 +47,9 @@ class Plan:
     violations : float
         Largest part by which a limit is exceeded.
     rollouts : int
+    bias : ndarray, shape (3,)
+        How much farther from the target the tip was taken to end than the planning model
+        has it, m; part of the outcome's miss.
     """
 
     insertion: Insertion
@@ -54,6 +59,11 @@ class Plan:
     reachable: bool
     violations: float
     rollouts: int
+    bias: Vector = field(default_factory=lambda: np.zeros(3))
+
+    def aimed_at(self, target: Sequence[float]) -> Vector:
+        """Return the place (3,) that stands for a target in the planning model, m."""
+        return np.asarray(target) - self.bias
 
 
 class _Found(Exception):
@@ -124,6 +134,24 @@ class Planner:
         check(task, self.scene)
         return _Search(self.simulator, self.scene, task, self.reach, tick).run()
 
+    def correct(
+        self, plan: Plan, task: Task, bias: Vector, tick: Callable[[], object] = lambda: None
+    ) -> Plan:
+        """Plan again, from a plan on, with a known bias of this model.
+
+        Parameters
+        ----------
+        plan : Plan
+            Of this planner, for the same task.
+        task : Task
+        bias : ndarray, shape (3,)
+            How much farther from the target the tip ends than this model has it, m.
+        tick : callable
+            Called after every rollout.
+        """
+        search = _Search(self.simulator, self.scene, task, self.reach, tick, bias)
+        return search.run_from(plan)
+
 
 def plain_aim(scene: Scene, task: Task) -> Insertion:
     """Return the insertion that a planner without a model makes: straight at the target.
@@ -168,12 +196,16 @@ class _Search:
         task: Task,
         reach: float,
         tick: Callable[[], object],
+        bias: Vector | None = None,
     ) -> None:
         self._simulator, self._task, self._tick = simulator, task, tick
+        self._bias = np.zeros(3) if bias is None else np.asarray(bias, dtype=float)
         self._scene = scene
         self._radius = scene.needle.radius
         self._aim = plain_aim(scene, task)
-        self._point: MaterialPoint = simulator.material_point(task.target)
+        there = simulator.material_point(task.target)
+        # a tip seen farther by the bias is one seen from a target moved back by it
+        self._point = MaterialPoint(there.place - self._bias, there.response)
         self._variables = Variables.of(task.vary, scene, self._aim, reach)
         self._best: tuple[float, float, Insertion, Outcome] | None = None
         self._rollouts = 0
@@ -188,6 +220,15 @@ class _Search:
                     break
         except _Found:
             pass
+        return self._plan(plain)
+
+    def run_from(self, plan: Plan) -> Plan:
+        self._rollouts = plan.rollouts
+        with suppress(_Found):
+            self._from(self._variables.of_insertion(self._aim, plan.insertion), _MOST_AGAIN)
+        return self._plan(plan.plain)
+
+    def _plan(self, plain: Outcome) -> Plan:
         assert self._best is not None
         worst, _, insertion, outcome = self._best
         return Plan(
@@ -198,6 +239,7 @@ class _Search:
             self._met(),
             worst,
             self._rollouts,
+            self._bias,
         )
 
     def _guess(self, plain: Outcome) -> dict[str, float]:
@@ -225,7 +267,7 @@ class _Search:
         worst, miss, _, outcome = self._best
         return worst <= 1e-6 and miss <= self._task.tolerance and not outcome.stopped
 
-    def _from(self, start: Vector) -> None:
+    def _from(self, start: Vector, most: int = _MOST_ROLLOUTS) -> None:
         low, high = self._variables.bounds()
         jacobian = SecantJacobian(self._residuals, self._variables.steps())
         least_squares(
@@ -236,7 +278,7 @@ class _Search:
             xtol=1e-5,
             ftol=1e-6,
             gtol=1e-9,
-            max_nfev=_MOST_ROLLOUTS,
+            max_nfev=most,
         )
 
     def _residuals(self, x: Vector) -> Vector:

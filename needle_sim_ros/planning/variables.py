@@ -114,3 +114,13 @@ class Variables:
         }
         pairs = {name: (pair[0], pair[1]) for name, pair in changes.items()}
         return replace(aim, **pairs, **single)  # type: ignore[arg-type]
+
+    def of_insertion(self, aim: Insertion, insertion: Insertion) -> Vector:
+        """Return the variables that make an insertion of an aim, the inverse of `apply`."""
+        found = []
+        for v in self._variables:
+            here, there = getattr(aim, v.name), getattr(insertion, v.name)
+            if v.name not in _OF_BEVEL:
+                here, there = here[v.component], there[v.component]
+            found.append((there - here) / v.unit)
+        return np.array(found)
