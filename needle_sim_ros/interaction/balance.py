@@ -49,6 +49,8 @@ class BalanceSolution(NamedTuple):
     ----------
     overlap : float
         How far the tip wants beyond the end of the track (negative: short of it), m.
+    lack : float
+        How far back the tip would bear its limit, at most, m; 0 where it does.
     """
 
     active: int
@@ -67,11 +69,12 @@ class BalanceSolution(NamedTuple):
     solves: int
     residual: float
     overlap: float
+    lack: float = 0.0
 
     def fields(self) -> dict[str, Any]:
         """Return what goes into the state."""
         fields = self._asdict()
-        del fields["overlap"]
+        del fields["overlap"], fields["lack"]
         return fields
 
 
@@ -230,6 +233,7 @@ class Balance:
             solves=found.solves,
             residual=found.residual,
             overlap=found.overlap,
+            lack=found.lack,
         )
 
     def _solved(

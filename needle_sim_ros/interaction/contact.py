@@ -33,6 +33,11 @@ _FORESIGHT = 0.98
 # ... and of the advance: what the tip bears must not hang on the step
 _CLOSE = 0.05
 _MOST_ROUNDS = 400
+# a cut foreseen too far is taken back by what the tip's compliance says and a part more, so
+# often; then by halves
+_BY_LACK, _MORE = 3, 1.3
+# of what the tip may be beside its place, how much it may be ahead of it with less force
+_SLIGHT = 0.05
 # how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
 # way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
 _FARTHEST = 4
@@ -77,6 +82,9 @@ class Contact:
     layer : TrackLayer
     laws : Laws
     """
+
+    # of the cutting rate of the last step, how much of it the next one is taken to cut
+    foresight = _FORESIGHT
 
     def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
         self._scene, self._layer, self.laws = scene, layer, laws
@@ -204,7 +212,7 @@ class Contact:
         depth, front = state.depth, state.front
         engaged = depth >= front
         if engaged and heading > 0:
-            depth = front = front + _FORESIGHT * rate * advance
+            depth = front = front + self.foresight * rate * advance
         elif not engaged:
             depth = min(max(depth + rate * advance, 0.0), front)
         track, moved, forces = state.track, state.moved, state.forces
@@ -213,7 +221,7 @@ class Contact:
         nearly = SETTLED * track.spacing
         if heading:
             nearly = min(nearly, _CLOSE * abs(advance))
-        solves = 0
+        solves = tries = 0
         solution = None
         for _ in range(_MOST_ROUNDS):
             bent = solution or state
@@ -235,9 +243,12 @@ class Contact:
                     depth = front
                 elif front > state.front and solution.status[-1] <= 0:
                     # foreseen too far: a tip that bears less than its limit has not cut
-                    settled = front - reached <= nearly
+                    settled = front - reached <= nearly or solution.lack <= _SLIGHT * nearly
                     if not settled:
-                        back = reached if missed == math.inf else 0.5 * (reached + front)
+                        tries += 1
+                        back = 0.5 * (reached + front)
+                        if tries <= _BY_LACK:
+                            back = max(reached, front - _MORE * solution.lack)
                         missed, depth, front = front, back, back
                 elif change < 0:
                     depth, engaged = front + max(change, -track.spacing), False

@@ -25,6 +25,10 @@ _ON_CHORD, _ON_SIDE, _PER_CELL = 8, 3, 2
 # in 3D rings of equal angles, Gauss's rule in the square of the radius
 _RINGS, _RING_WEIGHT = np.polynomial.legendre.leggauss(3)
 _ANGLES = (np.arange(8) + 0.5) * (np.pi / 4)
+# the disc of radius 1 by two normals (places, 2), and the weights of its places
+_RADII = np.repeat(np.sqrt(0.5 * (_RINGS + 1)), len(_ANGLES))
+_DISC = _RADII[:, None] * np.tile(np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]), (3, 1))
+_DISC_WEIGHT = np.repeat(0.5 * _RING_WEIGHT / len(_ANGLES), len(_ANGLES))
 # places along the track ahead of the tip at which its needs are foreseen
 _AHEAD = 8
 
@@ -110,14 +114,11 @@ class Coupling:
 
     def _disc(self, direction: Vector) -> tuple[Vector, Vector]:
         # two normals to the track; which ones hardly matters to a mean over the disc
-        other = np.eye(3)[0 if abs(direction[0]) < 0.8 else 1]
-        first = other - (other @ direction) * direction
-        first /= np.linalg.norm(first)
-        second = np.cross(direction, first)
-        radii = self.radius * np.sqrt(0.5 * (_RINGS + 1))
-        around = np.cos(_ANGLES)[:, None] * first + np.sin(_ANGLES)[:, None] * second
-        places = (radii[:, None, None] * around[None, :, :]).reshape(-1, 3)
-        return places, np.repeat(0.5 * _RING_WEIGHT / len(_ANGLES), len(_ANGLES))
+        x, y, z = direction.tolist()
+        first = [1 - x * x, -x * y, -x * z] if abs(x) < 0.8 else [-x * y, 1 - y * y, -y * z]
+        a, b, c = (part / math.hypot(*first) for part in first)
+        normals = np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
+        return self.radius * (_DISC @ normals), _DISC_WEIGHT
 
     def _gather(self, places: Vector, weights: Vector) -> Footprint:
         nodes, values, inside = self._model.shape_functions(places)

@@ -37,6 +37,9 @@ class TrackForces(NamedTuple):
         Slip in the step, m.
     overlap : float
         How far the tip wants beyond the end of the track, m; 0 where its force is free.
+    lack : float
+        Where it is free: how far back it would be at its limit, by the compliance at the
+        tip alone, m.
     residual : float
         Largest violation of equilibrium, relative to the largest gap.
     """
@@ -52,6 +55,7 @@ class TrackForces(NamedTuple):
     overlap: float
     residual: float
     solves: int
+    lack: float = 0.0
 
 
 @dataclass(eq=False, slots=True)
@@ -240,4 +244,5 @@ class SlidingProblem:
             overlap,
             float(np.abs(loose).max(initial=0.0)) / scale,
             found.iterations,
+            max(0.0, self.tip_bound - tip) * float(matrix[-1, -1]) if state[-1] == 0 else 0.0,
         )

@@ -22,7 +22,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.similarity import softened
 from needle_sim_ros.simulator import Simulator, Snapshot
-from needle_sim_ros.tissue.build import plane_points
+from needle_sim_ros.tissue.build import BuiltTissue, plane_points
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import planned_path, spacings
 
@@ -35,8 +35,13 @@ _LEAST_POINTS = 15
 _COLUMNS = 5
 # the farthest that the base goes, or turns, in one step: spacings, rad
 _FARTHEST, _MOST_TURN = 1.5, 0.3
-# of a segment, short of where the heading is taken, so that the next step takes it there
-_HALFWAY = 0.499
+# of a segment, short of where the heading is taken, so that the next step takes it there;
+# a step that ended so near behind it needs no other
+_HALFWAY, _NEAR = 0.499, 0.08
+# of the way to the puncture, what is gone in one step; the rest in quarters of a spacing
+_TO_PUNCTURE = 0.98
+# how much of the cutting rate the next step is taken to cut: steps here are equally long
+_FORESIGHT = 0.995
 # what needs another factorisation; tissue.youngs_modulus only scales the one there is
 _FIXED = ("tissue.", "dimension", "solver.", "needle.length", "needle.radius", "base.", "markers")
 
@@ -109,11 +114,17 @@ class QuickSimulator(Simulator):
             raise SceneError("solver.dynamics", scene.solver.dynamics, "must be quasi_static")
         super().__init__(scene, progress)
 
+    def _take(self, scene: Scene, built: BuiltTissue) -> None:
+        super()._take(scene, built)
+        self._contact_laws.foresight = _FORESIGHT
+
     def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, bool]:
         spacing = self.scene.solver.track_spacing
         advance = math.dist(motion.position, state.position)
         by_turn = math.ceil(math.hypot(*motion.turning) / _MOST_TURN - 1e-9)
         by_way = math.ceil(advance / (_FARTHEST * spacing) - 1e-9)
+        if state.contact.touching:  # nothing on the way to a puncture depends on the step
+            by_way = 1
         return max(1, by_way, by_turn), False
 
     def next_stop(self) -> float:
@@ -123,11 +134,20 @@ class QuickSimulator(Simulator):
         """
         contact, spacing = self._state.contact, self.scene.solver.track_spacing
         if not contact.inserted:
-            return spacing / 4
+            return max(spacing / 4, self._before_puncture())
         passed = contact.depth / spacing
-        ahead = math.floor(passed - _HALFWAY + 1e-2) + 1 + _HALFWAY - passed
+        ahead = math.floor(passed - _HALFWAY + _NEAR) + 1 + _HALFWAY - passed
         rate = contact.rate if contact.rate > 0.3 else 1.0
         return min(ahead / rate, _FARTHEST) * spacing
+
+    def _before_puncture(self) -> float:
+        """Return how far the base can go before the surface breaks; it dents in proportion."""
+        contact, pose = self._state.contact, self._state.pose
+        if contact.track is None or not contact.touching or contact.tip <= 0:
+            return 0.0
+        dent = self.scene.needle.length - pose.along(contact.track.points[0])
+        limit = self._contact_laws.laws.at(contact.track.points[0]).puncture
+        return _TO_PUNCTURE * float(dent) * (limit / contact.tip - 1.0)
 
     def prepare_cone(self, start: float, slope: float) -> int:
         """Prepare the tissue about the planned path for paths to any side; return the solves.
