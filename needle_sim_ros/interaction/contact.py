@@ -33,6 +33,8 @@ _FORESIGHT = 0.98
 # ... and of the advance: what the tip bears must not hang on the step
 _CLOSE = 0.05
 _MOST_ROUNDS = 400
+# of a segment: just before the heading is taken; and how far a round cuts at least
+_MIDDLE, _LEAST_ROUND = 0.499, 0.25
 # a cut foreseen too far is taken back by what the tip's compliance says and a part more, so
 # often; then by halves
 _BY_LACK, _MORE = 3, 1.3
@@ -238,7 +240,7 @@ class Contact:
                 settled = abs(change) <= nearly
                 if change > 0:
                     reached = front
-                    front += min(change, track.spacing)
+                    front += min(change, _onward(front, track.spacing))
                     front = front if front < missed else 0.5 * (reached + missed)
                     depth = front
                 elif front > state.front and solution.status[-1] <= 0:
@@ -302,6 +304,13 @@ class Contact:
         if advance <= STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
         return TipLimit(cutting, self._bevel)
+
+
+def _onward(front: float, spacing: float) -> float:
+    """Return how far a round may cut: to the middle of a segment, where it takes its heading."""
+    passed = front / spacing
+    middle = math.floor(passed + 1 - _MIDDLE + 1e-6) + _MIDDLE
+    return spacing * max(middle - passed, _LEAST_ROUND)
 
 
 def _known(moved: Vector, forces: Vector, track: Track, step: Step) -> Vector:

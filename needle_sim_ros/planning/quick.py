@@ -37,7 +37,7 @@ _COLUMNS = 5
 _FARTHEST, _MOST_TURN = 1.5, 0.3
 # of a segment, short of where the heading is taken, so that the next step takes it there;
 # a step that ended so near behind it needs no other
-_HALFWAY, _NEAR = 0.499, 0.08
+_HALFWAY, _NEAR = 0.499, 0.04
 # of the way to the puncture, what is gone in one step; the rest in quarters of a spacing
 _TO_PUNCTURE = 0.98
 # how much of the cutting rate the next step is taken to cut: steps here are equally long
