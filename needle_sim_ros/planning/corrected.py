@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needle_sim_ros.planning.planner import Plan, Planner
+from needle_sim_ros.planning.planner import KEPT, Plan, Planner
 from needle_sim_ros.planning.task import Task
 from needle_sim_ros.planning.verify import Verified, protocol_scene, verify
 
@@ -89,7 +89,7 @@ def _reached(plan: Plan, verified: Verified, task: Task) -> bool:
     limits = task.limits
     return (
         verified.miss <= task.tolerance
-        and plan.violations <= 1e-6
+        and plan.violations <= KEPT
         and not plan.outcome.stopped
         and verified.peak_force <= (1 + _ALLOWED) * limits.force
         and verified.deflection <= (1 + _ALLOWED) * limits.deflection

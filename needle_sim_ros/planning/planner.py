@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -20,11 +21,14 @@ from needle_sim_ros.planning.task import Task, check
 from needle_sim_ros.planning.variables import Variables
 from needle_sim_ros.scene import Scene
 
-# of the tolerance, at what miss the search is content, by dimension: in 3D the end of a
-# rollout is rough by a part of a millimetre, and a search for less only wanders
-_CONTENT = {2: 0.2, 3: 0.8}
+# of the tolerance, at what miss the search is content, by dimension
+_CONTENT = {2: 0.2, 3: 0.5}
+# up to what part a limit counts as kept: the search ends on its border
+KEPT = 1e-5
 _MOST_ROLLOUTS = 30  # from each start
 _MOST_AGAIN = 8  # from a plan, once the model's bias is known
+# rollouts on the analytic guess of arcs, and what part of the miss each has to leave at most
+_MOST_ARCS, _STALLED = 8, 0.9
 _REACH = 4e-3  # m, half width of the fine mesh about the plain aim
 _CORE = 2e-3  # m, radius at the surface of what is prepared for bevels that turn
 _SCALE = 1e-3  # m, a miss of this counts as one
@@ -214,6 +218,8 @@ class _Search:
         plain = roll_out(self._simulator, self._aim, self._point)
         self._rollouts += 1
         try:
+            if {"roll", "schedule"} <= set(self._task.vary):
+                self._by_arcs(plain)
             for start in self._variables.starts(self._guess(plain)):
                 self._from(start)
                 if self._met():
@@ -242,30 +248,56 @@ class _Search:
             self._bias,
         )
 
-    def _guess(self, plain: Outcome) -> dict[str, float]:
-        """Guess how the bevel has to stand, from how the plain aim was deflected.
+    def _by_arcs(self, plain: Outcome) -> None:
+        """Search with a bevel turned round once, as if it steered along circles.
+
+        What a rollout ends beside the circles is taken off the next one's aim: that
+        contracts by how wrong the circles are, and costs one rollout each time.
+        """
+        steered, aimed = self._sideways(plain)
+        for _ in range(_MOST_ARCS):
+            insertion = self._arcs(steered, aimed)
+            before = math.inf if self._best is None else self._best[1]
+            gap = self._tried(insertion).gap
+            if self._best is not None and _STALLED * before < self._best[1]:
+                return
+            aimed -= complex(*(self._axes() @ gap))
+
+    def _axes(self) -> Vector:
+        return np.asarray(rotation_matrix(self._aim.orientation)[:, :2].T)
+
+    def _sideways(self, plain: Outcome) -> tuple[complex, complex]:
+        """Return how far the plain aim steered and should have, x + i y of the base, m."""
+        straight = np.array([*self._aim.entry, 0.0]) + self._aim.travel * self._aim.axis
+        axes = self._axes()
+        target = plain.target - self._bias
+        return complex(*(axes @ (plain.tip - straight))), complex(*(axes @ (target - straight)))
+
+    def _arcs(self, steered: complex, wanted: complex) -> Insertion:
+        """Return the insertion whose bevel is turned round once, on circles.
 
         A bevel that steers along a circle deflects the tip by a share 1 - 2 (1 - a)^2 of
         what it can when it is turned round after the part a of the way.
         """
+        most = max(abs(steered), 1e-9)
+        part = 1 - math.sqrt((1 - min(abs(wanted) / most, 1.0)) / 2)
+        roll = cmath.phase(wanted / steered) if steered else 0.0
+        stop = min(max(part, 0.1), 1.0) * self._aim.travel
+        return replace(self._aim, roll=roll, turn=math.pi, turn_at=stop)
+
+    def _guess(self, plain: Outcome) -> dict[str, float]:
+        """Guess how the bevel has to stand, from how the plain aim was deflected."""
         if self._scene.dimension == 2:
             return {}
-        axes = rotation_matrix(self._aim.orientation)[:, :2].T
-        straight = np.array([*self._aim.entry, 0.0]) + self._aim.travel * self._aim.axis
-        steered, wanted = axes @ (plain.tip - straight), axes @ (plain.target - straight)
-        angle = math.atan2(wanted[1], wanted[0]) - math.atan2(steered[1], steered[0])
-        roll = math.remainder(angle, 2 * math.pi)
-        most = float(np.linalg.norm(steered))
-        share = min(float(np.linalg.norm(wanted)) / max(most, 1e-9), 1.0)
-        part = 1 - math.sqrt((1 - share) / 2)
-        stop = min(max(part, 0.15), 0.85) * self._aim.travel
-        return {"roll": roll, "turn": math.pi, "turn_at": stop - self._aim.turn_at}
+        arcs = self._arcs(*self._sideways(plain))
+        stop = min(max(arcs.turn_at, 0.15 * self._aim.travel), 0.85 * self._aim.travel)
+        return {"roll": arcs.roll, "turn": math.pi, "turn_at": stop - self._aim.turn_at}
 
     def _met(self) -> bool:
         if self._best is None:
             return False
         worst, miss, _, outcome = self._best
-        return worst <= 1e-6 and miss <= self._task.tolerance and not outcome.stopped
+        return worst <= KEPT and miss <= self._task.tolerance and not outcome.stopped
 
     def _from(self, start: Vector, most: int = _MOST_ROLLOUTS) -> None:
         low, high = self._variables.bounds()
@@ -282,7 +314,18 @@ class _Search:
         )
 
     def _residuals(self, x: Vector) -> Vector:
-        insertion = self._variables.apply(self._aim, x)
+        outcome = self._tried(self._variables.apply(self._aim, x))
+        over = self._task.limits.violations(outcome, self._radius)
+        return np.concatenate([outcome.gap / _SCALE, 3.0 * np.array(over)])
+
+    def _tried(self, insertion: Insertion) -> Outcome:
+        """Roll an insertion out and keep it when it is the best.
+
+        Raises
+        ------
+        _Found
+            When it is good enough.
+        """
         outcome = roll_out(self._simulator, insertion, self._point, arrive=True)
         self._rollouts += 1
         self._tick()
@@ -292,10 +335,10 @@ class _Search:
             worst = max(worst, 1.0)
         if self._best is None or _badness(worst, miss) < _badness(*self._best[:2]):
             self._best = (worst, miss, insertion, outcome)
-        if worst <= 1e-6 and miss <= _CONTENT[self._scene.dimension] * self._task.tolerance:
+        if worst <= KEPT and miss <= _CONTENT[self._scene.dimension] * self._task.tolerance:
             raise _Found
-        return np.concatenate([outcome.gap / _SCALE, 3.0 * np.array(over)])
+        return outcome
 
 
 def _badness(worst: float, miss: float) -> float:
-    return miss + (3.0 * worst * _SCALE if worst > 1e-6 else 0.0)
+    return miss + (3.0 * worst * _SCALE if worst > KEPT else 0.0)
