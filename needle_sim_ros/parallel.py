@@ -9,10 +9,12 @@ one task to the next (a factorised tissue) it keeps in its own process.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
 
 from needle_sim_ros.errors import NeedleSimError
@@ -79,7 +81,9 @@ def executor(workers: int | None = None, dask: str | None = None) -> Iterator[Ex
         return
     with one_thread_each():
         # spawned, not forked: a fork copies the locks of threads that it does not copy
-        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
+        pool = ProcessPoolExecutor(
+            count, mp_context=get_context("spawn"), initializer=end_with_parent
+        )
         try:
             yield pool
         finally:
@@ -92,6 +96,24 @@ def available_cores() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on every system
         return os.cpu_count() or 1
+
+
+def end_with_parent() -> None:
+    """End this process, which another one started, as soon as that one has ended.
+
+    However it ended: one that was killed cannot tell its children. A signal at the parent's
+    death would come from the thread that started this process, too early.
+    """
+    parent = parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import Any
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.identify.online import ONLINE, Estimate, Estimator
-from needle_sim_ros.parallel import one_thread_each
+from needle_sim_ros.parallel import end_with_parent, one_thread_each
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.session.motion import Motion
 
@@ -132,6 +132,7 @@ def _work(
     noise: Mapping[str, float],
 ) -> None:
     """Estimate until told to stop, or until the parent is gone."""
+    end_with_parent()
     if hasattr(os, "nice"):
         os.nice(10)
     try:

@@ -231,6 +231,8 @@ class _Search:
     def run_from(self, plan: Plan) -> Plan:
         self._rollouts = plan.rollouts
         with suppress(_Found):
+            if {"roll", "schedule"} <= set(self._task.vary):
+                self._by_arcs(plan.plain)
             self._from(self._variables.of_insertion(self._aim, plan.insertion), _MOST_AGAIN)
         return self._plan(plan.plain)
 

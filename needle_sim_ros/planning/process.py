@@ -15,7 +15,7 @@ import numpy as np
 
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.geometry import Vector, rotation_matrix
-from needle_sim_ros.parallel import one_thread_each
+from needle_sim_ros.parallel import end_with_parent, one_thread_each
 from needle_sim_ros.planning.continuation import (
     Continuation,
     Pose,
@@ -179,6 +179,7 @@ def _timed(poses: Sequence[Pose]) -> Sequence[Pose]:
 
 def _serve(connection: Connection, scene: Scene) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asks says when it is over
+    end_with_parent()
     os.nice(_NICE)
     worker: PlanningWorker | None = None
     while True:

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans and predictions beside the running node, over real topics and services."""
 
+import contextlib
 import json
+import pathlib
+import signal
 import time
 
 import numpy as np
@@ -103,3 +106,48 @@ def test_predicts_the_way_of_the_tip(cell):
     follow(cell, way)
     seen = cell.sim.plant.last_observation
     assert predicted[-1] == pytest.approx(seen.tip_position, abs=2e-4)
+
+
+def children(pid):
+    """Return the processes that a process started and that still run."""
+    found = []
+    for folder in pathlib.Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
+            if int(parent) == pid and state != "Z":
+                found.append(int(folder.name))
+    return found
+
+
+def test_a_killed_node_leaves_no_process_behind(cell, node_process):
+    """Neither the one that plans, in the middle of it, nor the one that identifies."""
+    node = node_process("identify:=true")
+    node.until_running()
+    client = cell.peer.create_client(GetPlan, "/needle_sim/plan")
+    assert client.wait_for_service(30.0)
+    before = set(children(node.process.pid))
+    assert len(before) >= 2  # the estimator, and what keeps multiprocessing's resources
+    client.call_async(GetPlan.Request(goal=posed((0.004, 0.0, -0.03))))
+    cell.until(lambda: set(children(node.process.pid)) - before, "planning process")
+    started = children(node.process.pid)
+    node.end(signal.SIGKILL)
+    cell.until(lambda: not any(pathlib.Path(f"/proc/{pid}").exists() for pid in started), "end")
+
+
+SPATIAL = {
+    "tissue.mesh.spacing_across": 3e-3,
+    "tissue.mesh.spacing_along": 8e-3,
+    "solver.track_spacing": 8e-3,
+    "markers": [],
+}
+
+
+def test_plans_for_a_scene_in_space(cell):
+    """From above the surface: over the entry of the plan's choice and in; coarse."""
+    overrides = "; ".join(f"{key}={json.dumps(value)}" for key, value in SPATIAL.items())
+    cell.start(scene="bevel_gelatin_22g", scene_overrides=overrides)
+    answer = cell.call(GetPlan, "/needle_sim/plan", goal=posed((0.004, -0.001, -0.04)))
+    way = places(answer.plan)
+    assert len(way) > 10
+    assert way[-1][2] < way[0][2] - 0.035
+    assert np.abs(way[-1][:2] - way[0][:2]).max() > 1e-4
