@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -90,26 +91,40 @@ class Insertion:
         """Return the same insertion ended elsewhere."""
         return replace(self, travel=travel)
 
-    @property
+    @cached_property
     def _lean(self) -> Vector:
         a, b = self.inclination
         return multiply(from_rotation_vector([b, -a, 0.0]), self.orientation)
 
+    @cached_property
+    def _turned(self) -> Vector:
+        return rotation_matrix(self._lean)
+
     @property
     def axis(self) -> Vector:
         """Unit vector along the needle, (3,)."""
-        return np.asarray(rotation_matrix(self._lean)[:, 2])
+        return np.asarray(self._turned[:, 2])
 
     def place(self, travel: float) -> Vector:
         """Return the base position, (3,), m."""
-        turned = rotation_matrix(self._lean)
+        turned = self._turned
         start = np.array([*self.entry, 0.0]) - self.length * turned[:, 2]
         aside = turned[:, 0] * self.offset[0] + turned[:, 1] * self.offset[1]
         return np.asarray(start + travel * turned[:, 2] + max(travel, 0.0) / self.reference * aside)
 
     def facing(self, travel: float) -> Vector:
         """Return the base orientation, quaternion (4,); turned where travel passes `turn_at`."""
-        roll = self.roll + (self.turn if travel > self.turn_at else 0.0)
+        return self._after_turn if travel > self.turn_at else self._before_turn
+
+    @cached_property
+    def _before_turn(self) -> Vector:
+        return self._rolled(self.roll)
+
+    @cached_property
+    def _after_turn(self) -> Vector:
+        return self._rolled(self.roll + self.turn)
+
+    def _rolled(self, roll: float) -> Vector:
         turned = multiply(self._lean, from_rotation_vector([0.0, 0.0, roll]))
         return np.asarray(turned / np.linalg.norm(turned))
 

@@ -28,7 +28,7 @@ from needle_sim_ros.tissue.mesh import planned_path, spacings
 
 # track spacings of a rollout per track spacing of the scene, in 2D, where rollouts are to be
 # a few dozen steps; a 3D scene has so few that nothing is left to save
-_COARSER = 3
+_COARSER = 2.5
 # ... and at least so many on the planned path
 _LEAST_POINTS = 15
 # spacings of the mesh within the reach to each side in 3D: unknowns grow with their square
