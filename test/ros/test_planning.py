@@ -135,9 +135,9 @@ def test_a_killed_node_leaves_no_process_behind(cell, node_process):
 
 
 SPATIAL = {
-    "tissue.mesh.spacing_across": 6e-3,
-    "tissue.mesh.spacing_along": 12e-3,
-    "solver.track_spacing": 12e-3,
+    "tissue.mesh.spacing_across": 3e-3,
+    "tissue.mesh.spacing_along": 8e-3,
+    "solver.track_spacing": 8e-3,
     "markers": [],
 }
 
