@@ -188,6 +188,8 @@ class _Search:
         try:
             if {"roll", "schedule"} <= set(self._task.vary):
                 self._by_arcs(plain)
+                if self._met():
+                    return self._plan(plain)
             for start in self._variables.starts(self._guess(plain)):
                 self._from(start)
                 if self._met():
@@ -201,7 +203,8 @@ class _Search:
         with suppress(_Found):
             if {"roll", "schedule"} <= set(self._task.vary):
                 self._by_arcs(plan.plain)
-            self._from(self._variables.of_insertion(self._aim, plan.insertion), _MOST_AGAIN)
+            if not self._met():
+                self._from(self._variables.of_insertion(self._aim, plan.insertion), _MOST_AGAIN)
         return self._plan(plan.plain)
 
     def _plan(self, plain: Outcome) -> Plan:
@@ -224,14 +227,15 @@ class _Search:
         What a rollout ends beside the circles is taken off the next one's aim: that
         contracts by how wrong the circles are, and costs one rollout each time.
         """
-        steered, aimed = self._sideways(plain)
+        steered, base = self._sideways(plain)
+        least, step, part = math.inf, 0j, 1.0
         for _ in range(_MOST_ARCS):
-            insertion = self._arcs(steered, aimed)
-            before = math.inf if self._best is None else self._best[1]
-            gap = self._tried(insertion).gap
-            if self._best is not None and _STALLED * before < self._best[1]:
-                return
-            aimed -= complex(*(self._axes() @ gap))
+            outcome = self._tried(self._arcs(steered, base - part * step))
+            if outcome.miss < _STALLED * least:
+                base -= part * step
+                least, step, part = outcome.miss, complex(*(self._axes() @ outcome.gap)), 1.0
+            else:  # the end leaps where the turn passes the middle of a segment
+                part *= 0.5
 
     def _axes(self) -> Vector:
         return np.asarray(rotation_matrix(self._aim.orientation)[:, :2].T)
