@@ -35,6 +35,7 @@ STEERING = {
     "tissue.mesh.growth": 3.0,
     "solver.track_spacing": 8e-3,
     "solver.time_step": 0.05,
+    "solver.factorization": "superlu",  # the one that is always there: it replays to the bit
     "protocol": [
         {"duration": 8.4, "velocity": [0, 0, -5e-3]},
         {"duration": 2.0, "angular_velocity": [0, 0, np.pi / 2]},
