@@ -21,6 +21,11 @@ def examples(lines: Sequence[str]) -> str:
     return "\n".join(["examples:", *(f"  needle_sim {line}" for line in lines)])
 
 
+def add_bag(parser: argparse.ArgumentParser) -> None:
+    """Add ``BAG``, a recorded session."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a session's folder or MCAP file")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json FILE``."""
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from needle_sim_ros.commands.options import add_json
+from needle_sim_ros.commands.options import add_bag, add_json
 from needle_sim_ros.commands.output import check_picture, check_writable, write_json
 from needle_sim_ros.errors import NeedleSimError
 
@@ -24,7 +24,7 @@ EXAMPLES = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a session's folder or MCAP file")
+    add_bag(parser)
     parser.add_argument(
         "--output",
         metavar="FILE",

@@ -78,19 +78,21 @@ def execute(args: argparse.Namespace) -> int:
     check_writable(args.json)
     check_picture(args.plot)
     check_new_folder(args.output)
+    from needle_sim_ros.commands.replay_measured import replay_measured
     from needle_sim_ros.session.compare import beyond, compare, read_tolerances
     from needle_sim_ros.session.content import read_contents
+    from needle_sim_ros.session.imported import is_imported
     from needle_sim_ros.session.reader import bag_path, mcap_files, session_of
     from needle_sim_ros.session.replay import replay, replay_ticks
 
-    if args.topics or args.mapping is not None or _imported(args.bag):
-        from needle_sim_ros.commands.replay_measured import replay_measured
-
+    if args.topics or args.mapping is not None:
         return replay_measured(args)
-    tolerances = read_tolerances(args.tolerance)
     begin = time.perf_counter()
     files = mcap_files(args.bag)
     content = read_contents(files)
+    if is_imported(content):  # what stands in it was measured, not simulated
+        return replay_measured(args)
+    tolerances = read_tolerances(args.tolerance)
     session = session_of(bag_path(files), content)
     ticks = replay_ticks(session)
     scene = _scene(args, session)
@@ -140,15 +142,6 @@ def execute(args: argparse.Namespace) -> int:
         },
     )
     return 1 if bad or not compared else 0
-
-
-def _imported(bag: Path) -> bool:
-    """Whether `needle_sim import` made the bag: its outputs were measured, not simulated."""
-    from needle_sim_ros.session.content import read_contents
-    from needle_sim_ros.session.imported import is_imported
-    from needle_sim_ros.session.reader import mcap_files
-
-    return is_imported(read_contents(mcap_files(bag)))
 
 
 def _scene(args: argparse.Namespace, session: Session) -> Scene:

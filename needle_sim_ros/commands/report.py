@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needle_sim_ros.commands.options import add_json
+from needle_sim_ros.commands.options import add_bag, add_json
 from needle_sim_ros.commands.output import check_writable, progress, write_json
 from needle_sim_ros.commands.tables import summary_rows
 from needle_sim_ros.errors import NeedleSimError
@@ -30,7 +30,7 @@ _MOST_EVENTS = 200
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a session's folder or MCAP file")
+    add_bag(parser)
     parser.add_argument(
         "--output",
         metavar="FILE",

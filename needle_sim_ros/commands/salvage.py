@@ -8,7 +8,7 @@ import itertools
 from dataclasses import asdict
 from pathlib import Path
 
-from needle_sim_ros.commands.options import add_json
+from needle_sim_ros.commands.options import add_bag, add_json
 from needle_sim_ros.commands.output import check_new_folder, check_writable, write_json
 
 NAME = "salvage"
@@ -25,7 +25,7 @@ _SHOWN = 20
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a session's folder or MCAP file")
+    add_bag(parser)
     parser.add_argument(
         "--output",
         metavar="DIR",

@@ -97,7 +97,7 @@ class Balance:
         self._places = spacing * np.arange(3.0 + self._length / spacing)
         tissue = scene.tissue
         # lateral stiffness of the tissue per length of needle, N/m per m
-        bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
+        bevel = tip.spread_length(scene.needle)
         width = tissue.thickness / bevel if scene.dimension == 2 else 1.0
         self._grip = tissue.youngs_modulus * width
 

@@ -92,7 +92,7 @@ class Contact:
         self._scene, self._layer, self.laws = scene, layer, laws
         self._balance = Balance(scene, laws)
         self._growth = TrackGrowth(scene, layer, self._balance)
-        self._bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
+        self._bevel = tip.spread_length(scene.needle)
         self._half = np.array(scene.tissue.size) / 2
         self._dimension = scene.dimension
 

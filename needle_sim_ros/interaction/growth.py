@@ -44,7 +44,7 @@ class TrackGrowth:
 
     def __init__(self, scene: Scene, layer: TrackLayer, balance: Balance) -> None:
         self._needle, self._layer, self._balance = scene.needle, layer, balance
-        self._bevel = max(tip.bevel_length(scene.needle), scene.needle.radius)
+        self._bevel = tip.spread_length(scene.needle)
         self._half = np.array(scene.tissue.size) / 2
         # the tissue's turning is felt over the bevel: on longer segments headings differ by
         # more than the path's own turn, and foresight by the last one would overshoot

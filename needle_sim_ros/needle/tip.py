@@ -16,6 +16,14 @@ def bevel_length(needle: Needle) -> float:
     return 2 * needle.radius / math.tan(needle.tip.bevel_angle)
 
 
+def spread_length(needle: Needle) -> float:
+    """Return over which length the tip presses and the tissue feels it, m.
+
+    That of the bevel; of a blunt tip no less than the radius.
+    """
+    return max(bevel_length(needle), needle.radius)
+
+
 def cutting_direction(needle: Needle, axial: Vector, lateral: Vector, slope: Vector) -> Vector:
     """Return the direction in space in which the tip cuts.
 

@@ -46,7 +46,6 @@ class Plan:
         Of the insertion, in the planning model.
     plain : Outcome
         Of the plain aim: straight at the undisplaced target.
-    plain_insertion : Insertion
     reachable : bool
         Whether miss and limits are met; else it is the nearest that was found.
     violations : float
@@ -60,7 +59,6 @@ class Plan:
     insertion: Insertion
     outcome: Outcome
     plain: Outcome
-    plain_insertion: Insertion
     reachable: bool
     violations: float
     rollouts: int
@@ -214,7 +212,6 @@ class _Search:
             insertion.with_travel(outcome.travel),
             outcome,
             plain,
-            self._aim,
             self._met(),
             worst,
             self._rollouts,
