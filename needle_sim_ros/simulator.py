@@ -175,10 +175,11 @@ class Simulator:
         advance, parts, altered = 0.0, 0, False
         for number in range(steps):
             was = contact.touching, contact.inserted
-            halves = 2 if settling else 1
-            parts += halves
-            for half in range(1, halves + 1):
-                share = (number + half / halves) / steps
+            shares = self._shares(contact, motion, state.position, steps, settling)
+            parts += len(shares)
+            done = 0.0
+            for within in shares:
+                share = (number + within) / steps
                 here = motion
                 if share < 1.0:
                     here = part_way(motion, state.position, state.orientation, share)
@@ -186,12 +187,12 @@ class Simulator:
                     after = pose.moved_to(here.position)
                 else:
                     after = BasePose.of(here.position, here.orientation, self.scene.dimension)
-                duration = dt / (steps * halves)
+                duration = dt * (within - done) / steps
                 contact, tissue, moved = self._part(
                     contact, tissue, pose, after, duration, settling
                 )
                 advance += moved
-                pose = after
+                pose, done = after, within
             altered = was != (contact.touching, contact.inserted)
             settling = altered and self._dynamics.settles
         process = classify(contact.touching, contact.inserted, advance)
@@ -269,6 +270,22 @@ class Simulator:
                 weakening = self.scene.interaction.friction.weakening_distance
                 return unsteady_steps(motion, dt, length, weakening, steps), False
         return steps, False
+
+    def _shares(
+        self,
+        contact: ContactState,
+        motion: BaseMotion,
+        position: Vector,
+        steps: int,
+        settling: bool,
+    ) -> tuple[float, ...]:
+        """Return the parts of a step after which the balance is found."""
+        if self._own_step is not None:
+            return (0.5, 1.0) if settling else (1.0,)
+        if not contact.inserted:
+            return (1.0,)
+        share = contact.aiming(math.dist(motion.position, position) / steps)
+        return (1.0,) if share is None else (share, 1.0)
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

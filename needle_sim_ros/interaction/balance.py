@@ -34,6 +34,11 @@ from needle_sim_ros.scene import Scene
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
 
+# Compliance of the tip's own contact, of what tissue of the bevel's size has. Points that
+# stick within the bevel fix the tip's place too: with a rigid tip the presliding, however
+# stiff, would decide how tip and friction share the load.
+_TIP_SOFTNESS = 0.03
+
 
 class TipLimit(NamedTuple):
     """Largest tip force, N, and the length over which the tip spreads it, m."""
@@ -100,6 +105,11 @@ class Balance:
         bevel = tip.spread_length(scene.needle)
         width = tissue.thickness / bevel if scene.dimension == 2 else 1.0
         self._grip = tissue.youngs_modulus * width
+        self._tip_softness = _TIP_SOFTNESS / (self._grip * bevel)
+
+    def dent(self, force: float) -> float:
+        """Return how far a tip force, N, presses the tip into its own contact, m."""
+        return self._tip_softness * force
 
     def slope(self, bent: ContactState | BalanceSolution) -> Vector:
         """Return the needle's slopes at the tip, shape (d - 1,)."""
@@ -199,10 +209,10 @@ class Balance:
             softness=self._softness(depth, held, limit.spread, h),
             presliding=presliding,
             share=share,
-            tip_softness=1e-6 / (stiffness * h),
+            tip_softness=self._tip_softness,
             aside=(pose.origin - placed[:held]) @ pose.lateral.T,
             elastic=elastic,
-            reach=self._length + float(pose.axial @ short),
+            reach=self._length + track.dent + float(pose.axial @ short),
             tip_bound=limit.force,
             rigidity=self._rigidity,
             tolerance=self._tolerance,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,8 +39,9 @@ _MIDDLE, _LEAST_ROUND = 0.499, 0.25
 # a cut foreseen too far is taken back by what the tip's compliance says and a part more, so
 # often; then by halves
 _BY_LACK, _MORE = 3, 1.3
-# of what the tip may be beside its place, how much it may be ahead of it with less force
-_SLIGHT = 0.05
+# of what the tip may be beside its place, how much it may be ahead of it with less force, and
+# how much it may have cut without the force that it takes
+_SLIGHT, _UNCUT = 0.05, 0.02
 # how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
 # way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
 _FARTHEST = 4
@@ -189,15 +191,13 @@ class Contact:
         if solution.overlap <= 0:
             return state._replace(**solution.fields(), touching=True)
         # the surface breaks: the same step goes on with a track
-        track = self._growth.opened(state.track, step, solution, state.forces)
-        wider = np.zeros_like(track.points)
-        wider[:1] = state.moved
-        return self.at_rest()._replace(
-            track=track,
-            inserted=True,
-            moved=wider,
-            forces=np.zeros_like(wider),
-        )
+        pressed = replace(state.track, dent=self._balance.dent(limit))
+        track = self._growth.opened(pressed, step, solution, state.forces)
+        # friction starts from the dented tissue: what the tip did to the new point counts
+        forces = np.zeros_like(track.points)
+        forces[:1] = state.forces
+        moved = _known(state.moved, forces, track, step)
+        return self.at_rest()._replace(track=track, inserted=True, moved=moved, forces=forces)
 
     # ----------------------------------------------------------------- in the tissue
     def _slide(self, state: ContactState, step: Step) -> ContactState:
@@ -245,7 +245,9 @@ class Contact:
                     depth = front
                 elif front > state.front and solution.status[-1] <= 0:
                     # foreseen too far: a tip that bears less than its limit has not cut
-                    settled = front - reached <= nearly or solution.lack <= _SLIGHT * nearly
+                    settled = (
+                        front - reached <= _UNCUT * nearly or solution.lack <= _SLIGHT * nearly
+                    )
                     if not settled:
                         tries += 1
                         back = 0.5 * (reached + front)

@@ -14,7 +14,7 @@ import numpy as np
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.balance import Balance, BalanceSolution
-from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.state import AIMED, ContactState
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 
 # how far the tip may end from where a step took it to be, in track spacings
 SETTLED = 0.02
-# parts of a segment that the tip has passed at each stage; the point is laid at the last.
-# The midpoint rule makes the path converge with the square of the spacing.
-_FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.58, 0.66, 0.74, 0.98
+# parts of a segment that the tip has passed at each stage; the point is laid at the last
+_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.58, 0.66, 0.74, 0.98
 # ... and from there to each component that is weighed
 _EACH = 0.08
 
@@ -76,7 +75,7 @@ class TrackGrowth:
                     return track
                 track = layer.foresee(track, self._bevel)
             elif ahead.point is None:
-                if passed < _AIMED:
+                if passed < AIMED:
                     return track
                 direction = self._cut(step, bent)
                 heading = _pulled_back(step, track, direction, forces, ahead.turning)

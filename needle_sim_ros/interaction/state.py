@@ -13,6 +13,13 @@ from needle_sim_ros.interaction.track import Track
 
 _NONE = np.empty(0)
 
+# part of a segment of the track after which its direction, and the next point, are found.
+# The midpoint rule makes the path converge with the square of the spacing.
+AIMED = 0.5
+# advances, in track spacings, so small that the step in which the tip comes there will do;
+# parts of a step not worth a step of their own
+_SMALL, _SLIVER = 0.05, 0.02
+
 
 class ContactState(NamedTuple):
     """State of the contact after a step.
@@ -88,3 +95,17 @@ class ContactState(NamedTuple):
     status: NDArray[np.int8] = np.empty(0, dtype=np.int8)
     solves: int = 0
     residual: float = 0.0
+
+    def aiming(self, advance: float) -> float | None:
+        """Return the part of an advance, m, after which the tip is where the track is aimed.
+
+        None where it does not get there, or only small steps are taken anyway.
+        """
+        track = self.track
+        if track is None or self.heading <= 0 or self.depth < self.front or self.rate <= 0:
+            return None
+        if advance < _SMALL * track.spacing:
+            return None
+        passed = self.depth / track.spacing - (track.count - 2)
+        share = (AIMED - passed) * track.spacing / (self.rate * advance)
+        return share if _SLIVER < share < 1.0 - _SLIVER else None

@@ -78,6 +78,8 @@ class Track:
         Unit direction of the cut in the middle of the segment before the last.
     ahead : NextPoint or None
         The next point, as far as it is prepared.
+    dent : float
+        How far the tip was pressed into its own contact when the surface broke, m.
     """
 
     spacing: float
@@ -89,6 +91,7 @@ class Track:
     stretches: tuple[Stretch, ...] = ()
     heading: Vector | None = None
     ahead: NextPoint | None = None
+    dent: float = 0.0
 
     @cached_property
     def entry(self) -> list[float]:
@@ -121,6 +124,7 @@ class Track:
             np.vstack([self.directions, direction]),
             begun,
             heading,
+            dent=self.dent,
         )
 
     def with_limits(self, laws: Laws) -> Track:
