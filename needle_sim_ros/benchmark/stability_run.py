@@ -24,6 +24,8 @@ CHANGE = 0.01
 # Lateral force per deviation of the track from the undeflected needle that tissue (E x
 # thickness) or beam (3 EI / l^3) can carry, with room for the form of either.
 _CARRIED = 20.0
+# N, below which a force is rounding
+_NOTHING = 1e-12
 # checks of equilibrium in a move, beside those at its end
 _CHECKS = 3
 
@@ -171,7 +173,7 @@ def _lateral_fault(simulator: Simulator) -> str:
     tissue = scene.tissue.youngs_modulus * deep * off
     beam = 3 * scene.needle.flexural_rigidity * off / float(contact.arclength[0]) ** 3
     carried = _CARRIED * max(tissue, beam)
-    if total > carried:
+    if total > max(carried, _NOTHING):
         return f"lateral force of {total:.3g} N, {total / carried * _CARRIED:.3g} times the carried"
     return ""
 
