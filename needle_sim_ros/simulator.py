@@ -11,21 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needle_sim_ros.base_motion import (
-    AT_REST,
-    MOST_UNSTEADY,
-    BaseMotion,
-    check,
-    commanded,
-    jumps,
-    part_way,
-    static_steps,
-    unsteady_steps,
-)
+from needle_sim_ros.base_motion import AT_REST, BaseMotion, check, commanded, jumps
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import CommandError, SceneError, SolverError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.contact import Contact, Step
+from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
 from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
@@ -35,7 +25,9 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
+from needle_sim_ros.substeps import FreeOnTheWay, Route, ends, equal_parts, parts_of_step
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
+from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseTable
 
 
@@ -171,28 +163,19 @@ class Simulator:
         motion = commanded(command, state.position, state.orientation, dt)
         check(self.scene, state.contact, state.pose, state.orientation, motion)
         contact, tissue, pose = state.contact, state.tissue, state.pose
-        steps, settling = self._steps(state, motion, dt)
+        route = Route(state.position, state.orientation, pose, motion)
+        steps, equal, settling = self._steps(state, motion, dt)
         advance, parts, altered = 0.0, 0, False
         for number in range(steps):
             was = contact.touching, contact.inserted
-            shares = self._shares(contact, motion, state.position, steps, settling)
-            parts += len(shares)
-            done = 0.0
-            for within in shares:
-                share = (number + within) / steps
-                here = motion
-                if share < 1.0:
-                    here = part_way(motion, state.position, state.orientation, share)
-                if motion.orientation is state.orientation:
-                    after = pose.moved_to(here.position)
-                else:
-                    after = BasePose.of(here.position, here.orientation, self.scene.dimension)
-                duration = dt * (within - done) / steps
-                contact, tissue, moved = self._part(
-                    contact, tissue, pose, after, duration, settling
+            halves = 2 if settling else 1
+            for half in range(number * halves, (number + 1) * halves):
+                span = half / (halves * steps), (half + 1) / (halves * steps)
+                contact, tissue, pose, moved, count = self._part(
+                    contact, tissue, pose, route, span, dt, equal, settling
                 )
                 advance += moved
-                pose, done = after, within
+                parts += count
             altered = was != (contact.touching, contact.inserted)
             settling = altered and self._dynamics.settles
         process = classify(contact.touching, contact.inserted, advance)
@@ -219,26 +202,47 @@ class Simulator:
         self,
         contact: ContactState,
         tissue: Any,
-        before: BasePose,
-        after: BasePose,
+        pose: BasePose,
+        route: Route,
+        span: tuple[float, float],
         dt: float,
+        equal: int,
         settling: bool,
-    ) -> tuple[ContactState, Any, float]:
-        dynamics = self._dynamics
+    ) -> tuple[ContactState, Any, BasePose, float, int]:
+        """Move the tissue on by a part of the tick, and the contact in as many as it takes."""
+        dynamics, (start, end) = self._dynamics, span
         prediction = dynamics.predict(tissue, settling)
-        step = Step(
-            before,
-            after,
-            dt,
-            prediction.rows,
-            lambda table, forces, footprint: dynamics.at(tissue, table, forces, footprint),
-        )
-        contact = self._contact_laws.step(contact, step)
+        if not equal:
+            way = (end - start) * route.length
+            equal = parts_of_step(contact, way, self.scene.solver.track_spacing)
+
+        begun = contact.forces
+
+        def sample(table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+            change = forces.copy()
+            change[: len(begun)] -= begun[: len(change)]
+            return dynamics.at(tissue, table, forces, change, footprint)
+
+        free, advance, count = None, 0.0, 0
+        done, size = start, (end - start) / equal
+        for number in range(equal):
+            for within in ends(contact, size * route.length):
+                share = end if within == 1.0 and number + 1 == equal else 0.0
+                share = share or start + size * (number + within)
+                after = route.at(share)
+                rows: FreeRows = prediction.rows
+                if share != end and self._own_step is not None:
+                    free = free or FreeOnTheWay(rows, contact)
+                    rows = free.at((share - start) / (end - start))
+                step = Step(pose, after, dt * (share - done), rows, sample)
+                contact = self._contact_laws.step(contact, step)
+                advance += step.advance
+                pose, done, count = after, share, count + 1
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
         if not math.isfinite(float(contact.forces.sum()) + contact.depth):
             raise SolverError("the tick gave numbers that are not finite")
-        return contact, tissue, step.advance
+        return contact, tissue, pose, advance, count
 
     def _checked(self, dt: float) -> float:
         dt = float(dt)
@@ -253,39 +257,21 @@ class Simulator:
                 )
         return dt
 
-    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, bool]:
-        """Return into how many steps a tick falls, and whether the first one has to settle."""
-        touching = state.contact.inserted or state.contact.touching
-        if self._own_step is not None:
-            settling = touching and self._dynamics.settles
-            jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)
-            return round(dt / self._own_step), jump
-        if not touching and motion.rate[2] > 0:
-            return 1, False
-        steps = static_steps(motion, state.position, self.scene.solver.track_spacing)
-        if state.contact.inserted and steps < MOST_UNSTEADY:
-            length = self.scene.needle.length
-            stuck = not state.contact.status[:-1].all()
-            if stuck or jumps(motion.rate, state.rate, length):
-                weakening = self.scene.interaction.friction.weakening_distance
-                return unsteady_steps(motion, dt, length, weakening, steps), False
-        return steps, False
+    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, int, bool]:
+        """Return time steps of a tick, equal parts of each, and whether the first must settle.
 
-    def _shares(
-        self,
-        contact: ContactState,
-        motion: BaseMotion,
-        position: Vector,
-        steps: int,
-        settling: bool,
-    ) -> tuple[float, ...]:
-        """Return the parts of a step after which the balance is found."""
-        if self._own_step is not None:
-            return (0.5, 1.0) if settling else (1.0,)
-        if not contact.inserted:
-            return (1.0,)
-        share = contact.aiming(math.dist(motion.position, position) / steps)
-        return (1.0,) if share is None else (share, 1.0)
+        The parts are 0 where each step decides for itself.
+        """
+        contact = state.contact
+        if self._own_step is None:
+            return (
+                1,
+                equal_parts(self.scene, contact, motion, state.position, state.rate, dt),
+                False,
+            )
+        settling = (contact.inserted or contact.touching) and self._dynamics.settles
+        jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)
+        return round(dt / self._own_step), 0, jump
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

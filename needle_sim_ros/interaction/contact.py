@@ -42,10 +42,6 @@ _BY_LACK, _MORE = 3, 1.3
 # of what the tip may be beside its place, how much it may be ahead of it with less force, and
 # how much it may have cut without the force that it takes
 _SLIGHT, _UNCUT = 0.05, 0.02
-# how far the needle may go in one step, in track spacings: beyond, friction and cutting on the
-# way are not followed (quasi-static ticks are divided, those with Newmark are what they are)
-_FARTHEST = 4
-
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
 
@@ -204,11 +200,6 @@ class Contact:
         """Insertion, hold and retraction: find the forces and how far the tip gets."""
         assert state.track is not None
         advance = step.advance
-        if abs(advance) > _FARTHEST * state.track.spacing:
-            raise CommandError(
-                f"the needle would go {abs(advance):g} m in one time step, more than "
-                f"{_FARTHEST} times solver.track_spacing: solver.time_step is too long for it"
-            )
         heading = 0 if abs(advance) <= STILL else (1 if advance > 0 else -1)
         rate = state.rate if heading == state.heading else 0.0
         depth, front = state.depth, state.front

@@ -118,14 +118,14 @@ class QuickSimulator(Simulator):
         super()._take(scene, built)
         self._contact_laws.foresight = _FORESIGHT
 
-    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, bool]:
+    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, int, bool]:
         spacing = self.scene.solver.track_spacing
         advance = math.dist(motion.position, state.position)
         by_turn = math.ceil(math.hypot(*motion.turning) / _MOST_TURN - 1e-9)
         by_way = math.ceil(advance / (_FARTHEST * spacing) - 1e-9)
         if state.contact.touching:  # nothing on the way to a puncture depends on the step
             by_way = 1
-        return max(1, by_way, by_turn), False
+        return 1, max(1, by_way, by_turn), False
 
     def next_stop(self) -> float:
         """Return how far the base should go in the next step, m.

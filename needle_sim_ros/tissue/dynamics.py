@@ -54,8 +54,18 @@ class Dynamics(Protocol):
         """End a step with forces (n, d) on the rows of a table; return the new state."""
         ...
 
-    def at(self, state: Any, table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
-        """Return the displacement of a footprint, shape (d,)."""
+    def at(
+        self,
+        state: Any,
+        table: ResponseTable,
+        forces: Vector,
+        change: Vector,
+        footprint: Footprint,
+    ) -> Vector:
+        """Return the displacement of a footprint in the step after a state, shape (d,).
+
+        `forces` act, (n, d), which differ by `change`, (n, d), from those in the state.
+        """
         ...
 
     def at_readers(self, state: Any, table: ResponseTable, forces: Vector) -> Vector:
@@ -102,7 +112,14 @@ class QuasiStatic:
         """Nothing is remembered."""
         return
 
-    def at(self, state: None, table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+    def at(
+        self,
+        state: None,
+        table: ResponseTable,
+        forces: Vector,
+        change: Vector,
+        footprint: Footprint,
+    ) -> Vector:
         """Displacement of a footprint from the kept responses."""
         return self.compliance.displacement(table.nodes, table.loads(forces), footprint)
 

@@ -177,10 +177,17 @@ class FullNewmark:
         return Motion(u, v, a)
 
     def at(
-        self, state: Motion, table: ResponseTable, forces: Vector, footprint: Footprint
+        self,
+        state: Motion,
+        table: ResponseTable,
+        forces: Vector,
+        change: Vector,
+        footprint: Footprint,
     ) -> Vector:
-        """Displacement of a footprint."""
-        return np.asarray(footprint.weights @ expand(self._model, state.u)[footprint.nodes])
+        """Displacement of a footprint: where it was, and what the change of forces does."""
+        moved = self.compliance.displacement(table.nodes, table.loads(change), footprint)
+        moved += footprint.weights @ expand(self._model, state.u)[footprint.nodes]
+        return np.asarray(moved)
 
     def at_readers(self, state: Motion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""

@@ -169,10 +169,18 @@ class ReducedNewmark:
         return filtered, state.modal[0] - self._flexibility * static
 
     def at(
-        self, state: ModalMotion, table: ResponseTable, forces: Vector, footprint: Footprint
+        self,
+        state: ModalMotion,
+        table: ResponseTable,
+        forces: Vector,
+        change: Vector,
+        footprint: Footprint,
     ) -> Vector:
-        """Displacement of a footprint."""
-        filtered, modal = self._modal(state, table)
+        """Displacement of a footprint: where it was, and what the change of forces does."""
+        u = state.modal.copy()
+        u[0] += self._dynamic * (table.modal() @ change.ravel())
+        filtered = _widened(state.filtered, table.count) + self._share * change
+        filtered, modal = self._modal(ModalMotion(u, filtered, forces), table)
         static = self.compliance.displacement(table.nodes, table.loads(filtered), footprint)
         return np.asarray(static + modal @ self.modes.at(footprint))
 

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tick in parts: how finely the contact follows the base's way.
+
+The tissue moves on once in a time step of Newmark's method; the contact may find its balance
+more often, so that track and friction do not hang on how far the base goes in a step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from needle_sim_ros.base_motion import (
+    MOST_UNSTEADY,
+    BaseMotion,
+    jumps,
+    part_way,
+    static_steps,
+    unsteady_steps,
+)
+from needle_sim_ros.errors import CommandError
+from needle_sim_ros.geometry import Vector
+from needle_sim_ros.interaction.contact import FreeRows
+from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.response import ResponseTable
+
+# how far the needle may go in one time step of Newmark's method, in track spacings: beyond,
+# the tissue's motion on the way is not followed
+_FARTHEST = 4
+
+
+class Route:
+    """The way of the base in a tick.
+
+    Parameters
+    ----------
+    position : ndarray, shape (3,)
+        Before the tick, tissue frame, m.
+    orientation : ndarray, shape (4,)
+        Before the tick, quaternion x y z w.
+    pose : BasePose
+        Before the tick.
+    motion : BaseMotion
+
+    Attributes
+    ----------
+    length : float
+        Of the way, m.
+    """
+
+    __slots__ = ("_motion", "_orientation", "_pose", "_position", "length")
+
+    def __init__(
+        self, position: Vector, orientation: Vector, pose: BasePose, motion: BaseMotion
+    ) -> None:
+        self._position, self._orientation = position, orientation
+        self._pose, self._motion = pose, motion
+        self.length = math.dist(motion.position, position)
+
+    def at(self, share: float) -> BasePose:
+        """Return the pose after a part of the tick."""
+        motion = self._motion
+        if share < 1.0:
+            motion = part_way(motion, self._position, self._orientation, share)
+        if motion.orientation is self._orientation:
+            return self._pose.moved_to(motion.position)
+        return BasePose.of(motion.position, motion.orientation, len(self._pose.axial))
+
+
+def equal_parts(
+    scene: Scene,
+    contact: ContactState,
+    motion: BaseMotion,
+    position: Vector,
+    rate: tuple[float, ...] | None,
+    dt: float,
+) -> int:
+    """Return into how many equal parts a quasi-static tick falls.
+
+    Parameters
+    ----------
+    scene : Scene
+    contact : ContactState
+    motion : BaseMotion
+    position : ndarray, shape (3,)
+        Of the base before the tick, m.
+    rate : tuple of float or None
+        Of the base in the tick before; None where contact began or broke.
+    dt : float
+        s.
+    """
+    if not (contact.inserted or contact.touching) and motion.rate[2] > 0:
+        return 1
+    steps = static_steps(motion, position, scene.solver.track_spacing)
+    if contact.inserted and steps < MOST_UNSTEADY:
+        length = scene.needle.length
+        stuck = not contact.status[:-1].all()
+        if stuck or jumps(motion.rate, rate, length):
+            weakening = scene.interaction.friction.weakening_distance
+            return unsteady_steps(motion, dt, length, weakening, steps)
+    return steps
+
+
+def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
+    """Return in how many equal parts the contact follows a time step of Newmark's method.
+
+    Parameters
+    ----------
+    contact : ContactState
+    way : float
+        Of the base in the step, m.
+    spacing : float
+        Of the track, m.
+
+    Raises
+    ------
+    CommandError
+        When the way is too long for one step.
+    """
+    if not contact.inserted:
+        return 1
+    if way > _FARTHEST * spacing:
+        raise CommandError(
+            f"the needle would go {way:g} m in one time step, more than "
+            f"{_FARTHEST} times solver.track_spacing: solver.time_step is too long for it"
+        )
+    return max(1, math.ceil(2 * way / spacing - 1e-9))
+
+
+def ends(contact: ContactState, way: float) -> Iterator[float]:
+    """Yield where to find the balance in a part of a tick, as shares of the part.
+
+    At its end, and before where the tip is in the middle of a segment of the track.
+    """
+    share = contact.aiming(way) if contact.inserted else None
+    if share is not None:
+        yield share
+    yield 1.0
+
+
+class FreeOnTheWay:
+    """Displacement without contact forces within a time step of the tissue.
+
+    Between that at the step's start, which is what the forces of then leave of it, and the
+    predicted one at its end.
+
+    Parameters
+    ----------
+    predicted : callable
+        At the end, as in Step.
+    begun : ContactState
+        At the start.
+    """
+
+    def __init__(self, predicted: FreeRows, begun: ContactState) -> None:
+        self._predicted = predicted
+        assert begun.track is not None
+        self._start = begun.moved - begun.track.table.displacement(begun.forces)
+
+    def at(self, share: float) -> FreeRows:
+        """Return the displacement after a part of the step."""
+
+        def free(table: ResponseTable) -> Vector:
+            rows = self._predicted(table)
+            known = min(len(self._start), len(rows))
+            rows[:known] *= share
+            rows[:known] += (1.0 - share) * self._start[:known]
+            return rows
+
+        return self._predicted if share == 1.0 else free
