@@ -27,7 +27,7 @@ _TURN = 0.05
 # change of velocity, in proportion to the larger one, from which it counts as a jump
 _JUMP = 0.2
 # path in a step, in weakening distances, where points begin to slide; most steps for it
-_FINE, MOST_UNSTEADY = 0.06, 16
+_FINE, MOST_UNSTEADY = 0.06, 32
 _NO_TURN = np.zeros(3)
 
 

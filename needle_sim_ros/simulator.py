@@ -25,7 +25,7 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
-from needle_sim_ros.substeps import FreeOnTheWay, Route, ends, equal_parts, parts_of_step
+from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, equal_parts, parts_of_step
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.response import ResponseTable
@@ -212,9 +212,9 @@ class Simulator:
         """Move the tissue on by a part of the tick, and the contact in as many as it takes."""
         dynamics, (start, end) = self._dynamics, span
         prediction = dynamics.predict(tissue, settling)
+        way, spacing = (end - start) * route.length, self.scene.solver.track_spacing
         if not equal:
-            way = (end - start) * route.length
-            equal = parts_of_step(contact, way, self.scene.solver.track_spacing)
+            equal = parts_of_step(contact, way, spacing)
 
         begun = contact.forces
 
@@ -238,6 +238,8 @@ class Simulator:
                 contact = self._contact_laws.step(contact, step)
                 advance += step.advance
                 pose, done, count = after, share, count + 1
+        if self._own_step is not None:
+            check_way(contact, way, spacing)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
         if not math.isfinite(float(contact.forces.sum()) + contact.depth):

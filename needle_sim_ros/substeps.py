@@ -28,7 +28,7 @@ from needle_sim_ros.tissue.response import ResponseTable
 
 # how far the needle may go in one time step of Newmark's method, in track spacings: beyond,
 # the tissue's motion on the way is not followed
-_FARTHEST = 4
+_FARTHEST = 2
 
 
 class Route:
@@ -103,6 +103,15 @@ def equal_parts(
     return steps
 
 
+def check_way(contact: ContactState, way: float, spacing: float) -> None:
+    """Raise CommandError where the base goes too far, m, in a time step of Newmark's method."""
+    if contact.inserted and way > _FARTHEST * spacing * (1 + 1e-9):
+        raise CommandError(
+            f"the base would go {way:g} m in one time step, more than {_FARTHEST} times "
+            f"solver.track_spacing ({spacing:g} m): solver.time_step is too long for it"
+        )
+
+
 def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
     """Return in how many equal parts the contact follows a time step of Newmark's method.
 
@@ -119,14 +128,8 @@ def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
     CommandError
         When the way is too long for one step.
     """
-    if not contact.inserted:
-        return 1
-    if way > _FARTHEST * spacing:
-        raise CommandError(
-            f"the needle would go {way:g} m in one time step, more than "
-            f"{_FARTHEST} times solver.track_spacing: solver.time_step is too long for it"
-        )
-    return max(1, math.ceil(2 * way / spacing - 1e-9))
+    check_way(contact, way, spacing)
+    return max(1, math.ceil(2 * way / spacing - 1e-9)) if contact.inserted else 1
 
 
 def ends(contact: ContactState, way: float) -> Iterator[float]:

@@ -214,6 +214,8 @@ class Contact:
         nearly = SETTLED * track.spacing
         if heading:
             nearly = min(nearly, _CLOSE * abs(advance))
+        status = state.status
+        opened = not len(status)
         solves = tries = 0
         solution = None
         for _ in range(_MOST_ROUNDS):
@@ -221,9 +223,7 @@ class Contact:
             track = self._growth.grown(track, step, bent, forces, depth, heading > 0)
             moved = _known(moved, forces, track, step)
             limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
-            solution = self._balance.inserted(
-                track, step, moved, memory, state.status, depth, limit
-            )
+            solution = self._balance.inserted(track, step, moved, memory, status, depth, limit)
             solves += solution.solves
             forces = solution.forces
             change = solution.overlap / float(step.after.axial @ track.direction(depth))
@@ -255,7 +255,11 @@ class Contact:
             if depth <= 0 and heading <= 0:
                 return self._drawn_out(track, front, step)
             depth = max(depth, 0.0)
-            if settled:
+            if settled and opened and heading > 0:
+                # what slipped far as the tip snapped in rubs with what is left then
+                memory = FrictionMemory(state.slip, state.strain, solution.slid, advance)
+                status, opened = solution.status, False
+            elif settled:
                 break
         assert solution is not None
         if depth >= self._scene.needle.length:
