@@ -85,7 +85,8 @@ def random_commands(simulator: Simulator, draw: np.random.Generator) -> Iterator
             if abs(lean) > 0.03:
                 turning = -2 * lean / (ticks * _DT)
         elif kind == 8:
-            place = [x + float(draw.normal(0, 1e-3)), 0.0, z + float(draw.normal(0, 1e-3))]
+            # about the middle: a random walk would end beside the tissue
+            place = [0.5 * x + float(draw.normal(0, 1e-3)), 0.0, z + float(draw.normal(0, 1e-3))]
             yield BaseCommand(position=place)
             continue
         command = BaseCommand(velocity=velocity, angular_velocity=[0.0, turning, 0.0])
@@ -157,12 +158,16 @@ def long_run(
 
 
 def _lifted(simulator: Simulator) -> Observation:
-    """Draw the needle back: along itself, or else straight up."""
-    turned = rotation_matrix(simulator.observe().base_orientation)
-    try:
-        return simulator.step(BaseCommand(velocity=-0.05 * turned[:, 2]), _DT)
-    except CommandError:
-        return simulator.step(BaseCommand(velocity=[0.0, 0.0, 0.05]), _DT)
+    """Draw the needle back: along itself, or else straight up; from beside, away."""
+    seen = simulator.observe()
+    axis = rotation_matrix(seen.base_orientation)[:, 2]
+    aside = [math.copysign(0.05, seen.base_position[0]), 0.0, 0.0]
+    for velocity in (-0.05 * axis, [0.0, 0.0, 0.05]):
+        try:
+            return simulator.step(BaseCommand(velocity=velocity), _DT)
+        except CommandError:
+            continue
+    return simulator.step(BaseCommand(velocity=aside), _DT)
 
 
 def _against_fresh(old: Simulator) -> float:
