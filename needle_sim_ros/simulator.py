@@ -230,7 +230,7 @@ class Simulator:
             after,
             dt,
             prediction.rows,
-            lambda table, forces, footprint: dynamics.at(tissue, table, forces, footprint),
+            lambda table, forces, reading: dynamics.at(tissue, table, forces, reading),
         )
         contact = self._contact_laws.step(contact, step)
         table = self._empty if contact.track is None else contact.track.table

@@ -25,8 +25,7 @@ from needle_sim_ros.interaction.stretches import tip_bound
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 # of the cutting rate of the last step, how much of it the next one is taken to cut beforehand
 _FORESIGHT = 0.98
@@ -45,7 +44,7 @@ _SLIGHT = 0.05
 _FARTHEST = 4
 
 FreeRows = Callable[[ResponseTable], Vector]
-Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
+Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
 
 
 class Step:
@@ -60,7 +59,7 @@ class Step:
         Displacement of the rows of a table at the end of the step without contact
         forces, (n, d).
     sample : callable
-        Displacement (d,) of a footprint under forces on the rows of a table.
+        Displacement (d,) of a footprint, by its reading, under forces on the rows of a table.
     advance : float
         How far the base moves along the needle, m.
     """

@@ -29,6 +29,8 @@ _ANGLES = (np.arange(8) + 0.5) * (np.pi / 4)
 _RADII = np.repeat(np.sqrt(0.5 * (_RINGS + 1)), len(_ANGLES))
 _DISC = _RADII[:, None] * np.tile(np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]), (3, 1))
 _DISC_WEIGHT = np.repeat(0.5 * _RING_WEIGHT / len(_ANGLES), len(_ANGLES))
+# range of node numbers up to which an array with a place for each is cheaper than sorting
+_NUMBERS = 20_000
 # places along the track ahead of the tip at which its needs are foreseen
 _AHEAD = 8
 
@@ -133,7 +135,19 @@ class Coupling:
 
 def _merged(nodes: Index, shares: Vector) -> tuple[Index, Vector]:
     """Add up the shares of each node; leave out those that get nothing."""
-    merged, where = np.unique(nodes.ravel(), return_inverse=True)
-    total = np.bincount(where.ravel(), weights=shares.ravel(), minlength=len(merged))
-    keep = np.abs(total) > 1e-14 * np.abs(total).max()
-    return merged[keep], total[keep]
+    flat, given = nodes.ravel(), shares.ravel()
+    lowest = int(flat.min())
+    if int(flat.max()) - lowest < _NUMBERS:
+        total = np.asarray(np.bincount(flat - lowest, weights=given), dtype=float)
+        keep = _noted(total)
+        return keep + lowest, total.take(keep)
+    merged, where = np.unique(flat, return_inverse=True)
+    total = np.asarray(np.bincount(where.ravel(), weights=given), dtype=float)
+    keep = _noted(total)
+    return merged.take(keep), total.take(keep)
+
+
+def _noted(total: Vector) -> Index:
+    """Return which entries are more than rounding."""
+    size = np.abs(total)
+    return np.flatnonzero(size > 1e-14 * size.max())

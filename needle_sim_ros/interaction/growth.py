@@ -18,7 +18,7 @@ from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.response import Reading
 
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
@@ -28,7 +28,7 @@ SETTLED = 0.02
 # parts of a segment that the tip has passed at each stage; the point is laid at the last.
 # The midpoint rule makes the path converge with the square of the spacing.
 _FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.58, 0.66, 0.74, 0.98
-# ... and from there to each component that is weighed
+# ... and from there to each component that is read where it is foreseen, or weighed
 _EACH = 0.08
 
 
@@ -46,6 +46,7 @@ class TrackGrowth:
         self._needle, self._layer, self._balance = scene.needle, layer, balance
         self._bevel = tip.spread_length(scene.needle)
         self._half = np.array(scene.tissue.size) / 2
+        self._dimension = scene.dimension
         # the tissue's turning is felt over the bevel: on longer segments headings differ by
         # more than the path's own turn, and foresight by the last one would overshoot
         self._foresight = 2 * scene.solver.track_spacing <= self._bevel
@@ -53,8 +54,8 @@ class TrackGrowth:
     def opened(self, track: Track, step: Step, bent: BalanceSolution, forces: Vector) -> Track:
         """Return a track of one point with the second one, where the broken surface leads."""
         direction = self._cut(step, bent)
-        turning = self._layer.coupling.turning(track.points[0], direction, self._bevel)
-        heading = _pulled_back(step, track, direction, forces, turning)
+        place = self._layer.coupling.turning(track.points[0], direction, self._bevel)
+        heading = _pulled_back(step, track, direction, forces, track.table.reading(place))
         return self._layer.extend(self._layer.aim(track, heading))
 
     def grown(
@@ -75,6 +76,10 @@ class TrackGrowth:
                 if passed < _FORESEEN:
                     return track
                 track = layer.foresee(track, self._bevel)
+            elif ahead.turning is not None and len(ahead.turning.columns) < self._dimension:
+                if passed < _FORESEEN + _EACH * (1 + len(ahead.turning.columns)):
+                    return track
+                track = layer.read(track)
             elif ahead.point is None:
                 if passed < _AIMED:
                     return track
@@ -118,7 +123,7 @@ class TrackGrowth:
 
 
 def _pulled_back(
-    step: Step, track: Track, direction: Vector, forces: Vector, turning: Footprint | None
+    step: Step, track: Track, direction: Vector, forces: Vector, turning: Reading | None
 ) -> Vector:
     """Return the direction of the next piece of track, in the undeformed tissue.
 

@@ -19,7 +19,7 @@ from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable
 
 # how far ahead of the tip responses are prepared: track spacings, and at least so many m
 _FORESEEN, _AT_LEAST = 14, 0.03
@@ -34,8 +34,8 @@ class NextPoint(NamedTuple):
 
     Attributes
     ----------
-    turning : Footprint or None
-        Reads how the tissue ahead of the tip is turned.
+    turning : Reading or None
+        Tells how the tissue ahead of the tip is turned, as far as it is known.
     point, heading : ndarray, shape (d,), or None
         Its place, m, and the cut's unit direction when it was aimed.
     footprint : Footprint or None
@@ -47,7 +47,7 @@ class NextPoint(NamedTuple):
         The row.
     """
 
-    turning: Footprint | None
+    turning: Reading | None
     point: Vector | None = None
     heading: Vector | None = None
     footprint: Footprint | None = None
@@ -206,7 +206,14 @@ class TrackLayer:
             Bevel length, over which it is turned, m.
         """
         middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
-        return replace(track, ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
+        turning = Reading(self.coupling.turning(middle, direction, bevel))
+        return replace(track, ahead=NextPoint(turning))
+
+    def read(self, track: Track) -> Track:
+        """Find out how forces on the track turn the tissue there, one component more."""
+        ahead = track.ahead
+        assert ahead is not None and ahead.turning is not None
+        return replace(track, ahead=ahead._replace(turning=track.table.read(ahead.turning)))
 
     def aim(self, track: Track, heading: Vector, foresight: bool = False) -> Track:
         """Turn the last segment to where the tip cuts in its middle; foresee the next point.

@@ -13,10 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
-from needle_sim_ros.tissue.response import ModalPart, ResponseTable
+from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 
 class Prediction(Protocol):
@@ -54,7 +54,7 @@ class Dynamics(Protocol):
         """End a step with forces (n, d) on the rows of a table; return the new state."""
         ...
 
-    def at(self, state: Any, table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+    def at(self, state: Any, table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
         """Return the displacement of a footprint, shape (d,)."""
         ...
 
@@ -102,9 +102,9 @@ class QuasiStatic:
         """Nothing is remembered."""
         return
 
-    def at(self, state: None, table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+    def at(self, state: None, table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
         """Displacement of a footprint from the kept responses."""
-        return self.compliance.displacement(table.nodes, table.loads(forces), footprint)
+        return reading.displacement(forces)
 
     def at_readers(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers from the kept responses."""

@@ -14,11 +14,11 @@ import scipy.sparse as sp
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
 @dataclass(frozen=True)
@@ -176,10 +176,9 @@ class FullNewmark:
         v, a = prediction.rule.rates(u, state.u, state.v, state.a)
         return Motion(u, v, a)
 
-    def at(
-        self, state: Motion, table: ResponseTable, forces: Vector, footprint: Footprint
-    ) -> Vector:
+    def at(self, state: Motion, table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
         """Displacement of a footprint."""
+        footprint = reading.footprint
         return np.asarray(footprint.weights @ expand(self._model, state.u)[footprint.nodes])
 
     def at_readers(self, state: Motion, table: ResponseTable, forces: Vector) -> Vector:

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import NewmarkRule
-from needle_sim_ros.tissue.response import ModalPart, ResponseTable
+from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 
 class ModalMotion(NamedTuple):
@@ -169,12 +169,11 @@ class ReducedNewmark:
         return filtered, state.modal[0] - self._flexibility * static
 
     def at(
-        self, state: ModalMotion, table: ResponseTable, forces: Vector, footprint: Footprint
+        self, state: ModalMotion, table: ResponseTable, forces: Vector, reading: Reading
     ) -> Vector:
         """Displacement of a footprint."""
         filtered, modal = self._modal(state, table)
-        static = self.compliance.displacement(table.nodes, table.loads(filtered), footprint)
-        return np.asarray(static + modal @ self.modes.at(footprint))
+        return np.asarray(reading.displacement(filtered) + modal @ reading.shape)
 
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""

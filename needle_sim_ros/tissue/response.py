@@ -65,6 +65,29 @@ class ResponseRow(NamedTuple):
     shape: Vector
 
 
+class Reading(NamedTuple):
+    """How a footprint moves under forces on the rows of a table, as far as it is known.
+
+    Attributes
+    ----------
+    footprint : Footprint
+    columns : tuple of ndarray, shape (n d,)
+        Static displacement of the rows per unit force on the footprint, m/N, component by
+        component; by Maxwell and Betti that of the footprint per force on the rows.
+    shape : ndarray, shape (modes, d)
+        Shapes of the modes at the footprint, known with the last column.
+    """
+
+    footprint: Footprint
+    columns: tuple[Vector, ...] = ()
+    shape: Vector = np.empty((0, 0))
+
+    def displacement(self, forces: Vector) -> Vector:
+        """Return the static displacement, (d,), m, by forces (k, d) on the first k rows, N."""
+        flat = forces.ravel()
+        return np.array([float(column[: len(flat)] @ flat) for column in self.columns])
+
+
 class ResponseTable:
     """Effective compliance between footprints and at the readers; immutable.
 
@@ -122,9 +145,34 @@ class ResponseTable:
 
         Shape ((n + 1) d,), m/N: a part of :meth:`row`, which takes a tick's time as a whole.
         """
-        nodes, weights, starts = self._joined(footprint)
+        return self._moved(footprint, component, *self._joined(footprint))
+
+    def _moved(
+        self, footprint: Footprint, component: int, nodes: Index, weights: Vector, starts: Index
+    ) -> Vector:
+        """Return the displacement of rows, (n d,), per force component on a footprint, m/N."""
         moved = self.compliance.column(footprint, nodes, component)
-        return np.asarray(np.add.reduceat(moved * weights[:, None], starts, axis=0).ravel())
+        moved *= weights
+        return np.asarray(np.add.reduceat(moved, starts, axis=1).T.ravel())
+
+    def read(self, reading: Reading) -> Reading:
+        """Return a reading with one component more, and with the modes when it is the last."""
+        footprint, columns = reading.footprint, reading.columns
+        column = np.empty(0)
+        if self.count:
+            rows = self.nodes, self.weights, self.starts
+            column = self._moved(footprint, len(columns), *rows)
+        columns = (*columns, column)
+        if self.modes is None or len(columns) < self.compliance.dimension:
+            return Reading(footprint, columns)
+        return Reading(footprint, columns, self.modes.at(footprint))
+
+    def reading(self, footprint: Footprint) -> Reading:
+        """Return how a footprint moves under forces on the rows."""
+        reading = Reading(footprint)
+        for _ in range(self.compliance.dimension):
+            reading = self.read(reading)
+        return reading
 
     def row(self, footprint: Footprint, columns: tuple[Vector, ...] = ()) -> ResponseRow:
         """Return what another row would be; its first columns may be known."""
@@ -217,4 +265,5 @@ class ModalPart:
 
     def at(self, footprint: Footprint) -> Vector:
         """Return the shapes at a footprint, (modes, d)."""
-        return np.einsum("k,kam->ma", footprint.weights, self.shapes[footprint.nodes])
+        nodes = self.shapes.take(footprint.nodes, axis=0)
+        return (footprint.weights @ nodes.reshape(len(nodes), -1)).reshape(-1, self.count).T

@@ -193,7 +193,7 @@ def test_all_ways_to_read_the_tissue_agree(loaded, kind):
     np.testing.assert_allclose(tissue.table.sample(everywhere), rows, atol=1e-10 * scale)
     nodes = np.arange(0, model.nodes, 7)
     place = Footprint(nodes, np.cos(nodes))
-    found = dynamics.at(after, tissue.table, PUSH, place)
+    found = dynamics.at(after, tissue.table, PUSH, tissue.table.reading(place))
     np.testing.assert_allclose(found, place.weights @ everywhere[nodes], atol=1e-9 * scale)
     read = dynamics.at_readers(after, tissue.table, PUSH).reshape(-1, 2)
     places = np.array([[0.01, -0.01], [-0.03, -0.05]])
