@@ -58,6 +58,7 @@ class BalanceSolution(NamedTuple):
     friction: Vector
     tip: float
     arclength: Vector
+    softness: Vector
     share: Vector
     strain: Vector
     slip: Vector
@@ -135,6 +136,7 @@ class Balance:
             friction=np.zeros(1),
             tip=force,
             arclength=self._tip_at,
+            softness=np.zeros(1),
             share=np.ones(1),
             strain=np.zeros(1),
             slip=np.zeros(1),
@@ -222,6 +224,7 @@ class Balance:
             friction=found.friction,
             tip=found.tip,
             arclength=problem.arclength,
+            softness=problem.softness,
             share=share,
             strain=found.strain,
             slip=slipped,
