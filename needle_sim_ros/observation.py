@@ -100,9 +100,14 @@ class Observation:
     @cached_property
     def tip_position(self) -> Vector:
         """Position of the tip, tissue frame, (3,), m."""
-        pose, length = self._pose, self._scene.needle.length
-        place = pose.origin + length * pose.axial + self._tip_bent @ pose.lateral
-        return self._world(place)
+        *lateral, axial = self._pose.terms
+        place = self._pose.origin.tolist()
+        for i, c in axial:
+            place[i] += c * self._scene.needle.length
+        for bent, axis in zip(self._tip_bent, lateral, strict=True):
+            for i, c in axis:
+                place[i] += c * bent
+        return np.array(place if len(place) == 3 else [place[0], 0.0, place[1]])
 
     @cached_property
     def tip_slope(self) -> Vector:
@@ -116,10 +121,8 @@ class Observation:
 
         Pushing in gives z < 0.
         """
-        contact = self._contact
-        return self._in_base(
-            [-total for total, *_ in self._moments], -(float(contact.friction.sum()) + contact.tip)
-        )
+        axial = -(self.friction_force + self._contact.tip)
+        return self._in_base([-total for total, *_ in self._moments], axial)
 
     @cached_property
     def base_torque(self) -> Vector:
@@ -159,7 +162,7 @@ class Observation:
         bent += contact.softness * contact.lateral
         return bent
 
-    @property
+    @cached_property
     def friction_force(self) -> float:
         """Sum of the axial friction on the tissue, positive when pushing in, N."""
         return float(self._contact.friction.sum())
