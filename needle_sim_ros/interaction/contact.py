@@ -71,7 +71,7 @@ class Step:
     ) -> None:
         self.before, self.after, self.duration = before, after, duration
         self.free, self.sample = free, sample
-        self.advance = float(after.axial @ (after.origin - before.origin))
+        self.advance = -after.reach(before.origin.tolist())
 
 
 class Contact:
@@ -234,7 +234,7 @@ class Contact:
             )
             solves += solution.solves
             forces = solution.forces
-            change = solution.overlap / float(step.after.axial @ track.direction(depth))
+            change = solution.overlap / step.after.cosine(track.direction(depth))
             if engaged:
                 settled = abs(change) <= nearly
                 if change > 0:
@@ -269,17 +269,10 @@ class Contact:
                 f"the needle's whole length, {self._scene.needle.length:g} m, would be inserted"
             )
         went = (depth - state.depth) / advance if heading else 0.0
-        fields = solution.fields()
-        fields["solves"] = solves
-        return ContactState(
-            track=track,
-            inserted=True,
-            depth=depth,
-            front=front,
-            rate=min(max(went, 0.0), 1.0),
-            heading=heading,
-            **fields,
-        )
+        if solves != solution.solves:
+            solution = solution._replace(solves=solves)
+        rate = min(max(went, 0.0), 1.0)
+        return ContactState(track, False, True, depth, front, rate, heading, *solution.in_state())
 
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
         zero = np.zeros_like(track.points)

@@ -142,13 +142,19 @@ class Track:
 
     def at(self, depth: float) -> Vector:
         """Return the point at a depth along the track, shape (d,)."""
+        return np.array(self.place(depth))
+
+    def place(self, depth: float) -> list[float]:
+        """Return the coordinates of the point at a depth along the track, m."""
         segment = self._segment(depth)
         beyond = depth - segment * self.spacing
-        return np.asarray(self.points[segment] + beyond * self.directions[segment])
+        point, direction = self.points[segment].tolist(), self.directions[segment].tolist()
+        return [x + beyond * e for x, e in zip(point, direction, strict=True)]
 
-    def direction(self, depth: float) -> Vector:
-        """Return the unit direction of the segment at a depth, shape (d,)."""
-        return np.asarray(self.directions[self._segment(depth)])
+    def direction(self, depth: float) -> list[float]:
+        """Return the unit direction of the segment at a depth, (d)."""
+        direction: list[float] = self.directions[self._segment(depth)].tolist()
+        return direction
 
     def _segment(self, depth: float) -> int:
         return int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
