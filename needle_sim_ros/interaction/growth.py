@@ -14,6 +14,7 @@ import numpy as np
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.balance import Balance, BalanceSolution
+from needle_sim_ros.interaction.coupling import added_up
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
@@ -27,9 +28,10 @@ if TYPE_CHECKING:
 SETTLED = 0.02
 # parts of a segment that the tip has passed at each stage; the point is laid at the last.
 # The midpoint rule makes the path converge with the square of the spacing.
-_FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.58, 0.66, 0.74, 0.98
-# ... and from there to each component that is read where it is foreseen, or weighed
-_EACH = 0.08
+_FORESEEN, _AIMED, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.5, 0.56, 0.68, 0.74, 0.98
+# ... and from there to each further step of it: a footprint that is added up, a component
+# that is read where it is foreseen, or weighed
+_EACH = 0.06
 
 
 class TrackGrowth:
@@ -55,7 +57,8 @@ class TrackGrowth:
         """Return a track of one point with the second one, where the broken surface leads."""
         direction = self._cut(step, bent)
         place = self._layer.coupling.turning(track.points[0], direction, self._bevel)
-        heading = _pulled_back(step, track, direction, forces, track.table.reading(place))
+        reading = track.table.reading(added_up(place))
+        heading = _pulled_back(step, track, direction, forces, reading)
         return self._layer.extend(self._layer.aim(track, heading))
 
     def grown(
@@ -76,8 +79,12 @@ class TrackGrowth:
                 if passed < _FORESEEN:
                     return track
                 track = layer.foresee(track, self._bevel)
+            elif ahead.shares is not None:
+                if passed < (_FORESEEN if ahead.point is None else _SPREAD) + _EACH:
+                    return track
+                track = layer.gather(track)
             elif ahead.turning is not None and len(ahead.turning.columns) < self._dimension:
-                if passed < _FORESEEN + _EACH * (1 + len(ahead.turning.columns)):
+                if passed < _FORESEEN + _EACH * (2 + len(ahead.turning.columns)):
                     return track
                 track = layer.read(track)
             elif ahead.point is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction import stretches
-from needle_sim_ros.interaction.coupling import Coupling
+from needle_sim_ros.interaction.coupling import Coupling, Shares, added_up
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
@@ -34,6 +34,8 @@ class NextPoint(NamedTuple):
 
     Attributes
     ----------
+    shares : Shares or None
+        Of the footprint that is to be known next.
     turning : Reading or None
         Tells how the tissue ahead of the tip is turned, as far as it is known.
     point, heading : ndarray, shape (d,), or None
@@ -47,7 +49,8 @@ class NextPoint(NamedTuple):
         The row.
     """
 
-    turning: Reading | None
+    shares: Shares | None = None
+    turning: Reading | None = None
     point: Vector | None = None
     heading: Vector | None = None
     footprint: Footprint | None = None
@@ -212,8 +215,18 @@ class TrackLayer:
             Bevel length, over which it is turned, m.
         """
         middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
-        turning = Reading(self.coupling.turning(middle, direction, bevel))
-        return replace(track, ahead=NextPoint(turning))
+        return replace(track, ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
+
+    def gather(self, track: Track) -> Track:
+        """Add up the footprint that was foreseen, or spread."""
+        ahead = track.ahead
+        assert ahead is not None and ahead.shares is not None
+        footprint = added_up(ahead.shares)
+        if ahead.point is None:
+            ahead = ahead._replace(shares=None, turning=Reading(footprint))
+        else:
+            ahead = ahead._replace(shares=None, footprint=footprint)
+        return replace(track, ahead=ahead)
 
     def read(self, track: Track) -> Track:
         """Find out how forces on the track turn the tissue there, one component more."""
@@ -245,15 +258,15 @@ class TrackLayer:
         point = track.points[-1] + track.spacing * heading
         if foresight and track.heading is not None:
             point += track.spacing * (heading - track.heading)
-        ahead = track.ahead or NextPoint(None)
+        ahead = track.ahead or NextPoint()
         return replace(track, ahead=ahead._replace(point=point, heading=heading))
 
     def spread(self, track: Track) -> Track:
         """Find out which nodes the next point touches."""
         ahead, last = track.ahead, track.points[-1]
         assert ahead is not None and ahead.point is not None
-        hat = self.coupling.hat(last, ahead.point, 2 * ahead.point - last)
-        return replace(track, ahead=ahead._replace(footprint=hat))
+        shares = self.coupling.hat_shares(last, ahead.point, 2 * ahead.point - last)
+        return replace(track, ahead=ahead._replace(shares=shares))
 
     def ask(self, track: Track) -> Track:
         """Have prepared beside the ticks what comes after the next point."""
@@ -267,11 +280,14 @@ class TrackLayer:
         return replace(track, ahead=ahead._replace(asked=True))
 
     def weigh(self, track: Track) -> Track:
-        """Find out how the tissue answers to forces on the next point, one component more."""
+        """Find out how the tissue answers to forces on the next point.
+
+        One component more, and when all are known what else belongs to its row.
+        """
         ahead, table = track.ahead, track.table
         assert ahead is not None and ahead.footprint is not None
         known = ahead.columns
-        if len(known) + 1 == table.compliance.dimension:
+        if len(known) == table.compliance.dimension:
             return replace(track, ahead=ahead._replace(row=table.row(ahead.footprint, known)))
         known = (*known, table.column(ahead.footprint, len(known)))
         return replace(track, ahead=ahead._replace(columns=known))
@@ -279,7 +295,7 @@ class TrackLayer:
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""
         if track.ahead is None or track.ahead.footprint is None:
-            track = self.spread(track)
+            track = self.gather(self.spread(track))
         while track.ahead is None or track.ahead.row is None:
             track = self.weigh(track)
         ahead = track.ahead
