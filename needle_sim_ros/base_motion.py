@@ -67,7 +67,7 @@ def commanded(command: BaseCommand, position: Vector, orientation: Vector, dt: f
         turning = to_rotation_vector(multiply(quaternion, conjugate(orientation)))
         if not turning.any():
             quaternion = orientation
-    elif command.angular_velocity is not None and command.angular_velocity.any():
+    elif command.angular_velocity is not None and any(command.angular_velocity.tolist()):
         turning = dt * command.angular_velocity
         quaternion = multiply(from_rotation_vector(turning), orientation)
         quaternion = quaternion / np.linalg.norm(quaternion)
@@ -153,7 +153,7 @@ def check(
         Orientation before the tick.
     motion : BaseMotion
     """
-    _, y, z = motion.position.tolist()
+    x, y, z = motion.position.tolist()
     if scene.dimension == 2 and abs(y) > 1e-9:
         raise CommandError(f"a 2D scene moves in the plane y = 0, not to y = {y:g} m")
     turned = motion.orientation is not before
@@ -168,9 +168,7 @@ def check(
         return
     if turned:
         pose = BasePose.of(motion.position, motion.orientation, scene.dimension)
-    kept = motion.position.tolist()
-    if scene.dimension == 2:
-        del kept[1]
+    kept = (x, z) if scene.dimension == 2 else (x, y, z)
     away = [a - b for a, b in zip(kept, contact.track.entry, strict=True)]
     for axis in pose.terms[:-1]:
         aside = abs(sum(away[i] * c for i, c in axis))

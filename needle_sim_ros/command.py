@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +24,7 @@ def _finite(name: str, value: ArrayLike | None, size: int) -> Vector | None:
         raise CommandError(f"{name} = {value!r}: must be {size} numbers") from None
     if array.shape != (size,):
         raise CommandError(f"{name} has shape {array.shape}: must be ({size},)")
-    if not np.isfinite(array).all():
+    if not all(map(math.isfinite, array.tolist())):
         raise CommandError(f"{name} = {array.tolist()}: must be finite")
     array.flags.writeable = False
     return array

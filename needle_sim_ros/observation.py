@@ -61,11 +61,22 @@ class Observation:
         return np.asarray(-(contact.lateral @ per_force.T))
 
     @cached_property
-    def _tip_bent(self) -> Vector:
+    def _moments(self) -> list[list[float]]:
+        """Sums of q, q s, q s^2 and q s^3 over the lateral forces, one list per direction."""
+        s = self._contact.arclength
+        powers = np.empty((4, len(s)))
+        powers[0], powers[1] = 1.0, s
+        np.multiply(s, s, out=powers[2])
+        np.multiply(powers[2], s, out=powers[3])
+        sums: list[list[float]] = (self._contact.lateral @ powers.T).tolist()
+        return sums
+
+    @cached_property
+    def _tip_bent(self) -> list[float]:
         # all forces act between clamp and tip: a = s_k, b = L in the flexibility
-        s, needle = self._contact.arclength, self._scene.needle
-        per_force = s * s * (3.0 * needle.length - s)
-        return np.asarray(self._contact.lateral @ per_force / (-6.0 * needle.flexural_rigidity))
+        needle = self._scene.needle
+        scale, reach = -1.0 / (6.0 * needle.flexural_rigidity), 3.0 * needle.length
+        return [scale * (reach * square - cube) for _, _, square, cube in self._moments]
 
     def _world(self, vectors: Vector) -> Vector:
         """Put vectors (..., d) of the mesh into the world (..., 3)."""
@@ -76,36 +87,33 @@ class Observation:
         world[..., 2] = vectors[..., 1]
         return world
 
-    def _in_base(self, lateral: Vector, axial: Vector) -> Vector:
-        """Compose vectors (..., 3) of the base frame from lateral (d - 1, ...) and axial (...)."""
-        vectors = np.zeros((*np.shape(axial), 3))
-        for i, component in enumerate(lateral):
-            vectors[..., i] = component
-        vectors[..., 2] = axial
-        return vectors
+    def _in_base(self, lateral: list[float], axial: float) -> Vector:
+        """Return a vector (3,) of the base frame from its components."""
+        x, y = lateral if len(lateral) == 2 else (lateral[0], 0.0)
+        return np.array([x, y, axial])
 
     @cached_property
     def tip_deflection(self) -> Vector:
         """Deflection of the tip from the undeflected needle, base frame, z = 0, (3,), m."""
-        return self._in_base(self._tip_bent, np.zeros(()))
+        return self._in_base(self._tip_bent, 0.0)
 
     @cached_property
     def tip_position(self) -> Vector:
         """Position of the tip, tissue frame, (3,), m."""
-        pose, length = self._pose, self._scene.needle.length
-        place = pose.origin + length * pose.axial + self._tip_bent @ pose.lateral
-        return self._world(place)
+        *lateral, axial = self._pose.terms
+        place = self._pose.origin.tolist()
+        for i, c in axial:
+            place[i] += c * self._scene.needle.length
+        for bent, axis in zip(self._tip_bent, lateral, strict=True):
+            for i, c in axis:
+                place[i] += c * bent
+        return np.array(place if len(place) == 3 else [place[0], 0.0, place[1]])
 
     @cached_property
     def tip_slope(self) -> Vector:
         """Slopes of the deflected needle at the tip along base x and y, (2,)."""
-        contact, needle = self._contact, self._scene.needle
-        slopes = np.zeros(2)
-        if len(contact.arclength):
-            at = np.array([needle.length])
-            per_force = beam.slope_flexibility(at, contact.arclength, needle.flexural_rigidity)
-            slopes[: len(contact.lateral)] = -(contact.lateral @ per_force[0])
-        return slopes
+        scale = -1.0 / (2.0 * self._scene.needle.flexural_rigidity)
+        return self._in_base([scale * square for _, _, square, _ in self._moments], 0.0)[:2]
 
     @cached_property
     def base_force(self) -> Vector:
@@ -113,10 +121,8 @@ class Observation:
 
         Pushing in gives z < 0.
         """
-        contact = self._contact
-        return self._in_base(
-            -contact.lateral.sum(axis=1), np.array(-(contact.friction.sum() + contact.tip))
-        )
+        axial = -(self.friction_force + self._contact.tip)
+        return self._in_base([-total for total, *_ in self._moments], axial)
 
     @cached_property
     def base_torque(self) -> Vector:
@@ -127,24 +133,36 @@ class Observation:
         # r x F with r = (lateral, s) and F = (-q, -f): moments of both about x and y
         held = self._held_bent
         count = held.shape[1]
-        moment = -(contact.lateral @ contact.arclength)  # of lateral forces, per direction
-        moment += held @ contact.friction[:count]
+        rubbing = (held @ contact.friction[:count]).tolist()
         # friction on what is ahead of the tip acts at the tip
-        moment += self._tip_bent * (float(contact.friction[count:].sum()) + contact.tip)
-        torque = np.zeros(3)
-        torque[1] = moment[0]
-        if len(moment) == 2:
-            torque[0] = -moment[1]
-            torque[2] = float(held[1] @ contact.lateral[0] - held[0] @ contact.lateral[1])
-        return torque
+        ahead = float(contact.friction[count:].sum()) + contact.tip
+        moment = [
+            rub - turn + bent * ahead
+            for rub, (_, turn, _, _), bent in zip(
+                rubbing, self._moments, self._tip_bent, strict=True
+            )
+        ]
+        if len(moment) == 1:
+            return np.array([0.0, moment[0], 0.0])
+        twist = float(held[1] @ contact.lateral[0] - held[0] @ contact.lateral[1])
+        return np.array([-moment[1], moment[0], twist])
 
     @cached_property
     def _held_bent(self) -> Vector:
-        """Lateral deflection where the lateral forces act, shape (d - 1, k), m."""
-        contact, rigidity = self._contact, self._scene.needle.flexural_rigidity
-        return -beam.own_deflection(contact.arclength, contact.lateral, rigidity)
+        """Lateral deflection where the lateral forces act, shape (d - 1, k), m.
 
-    @property
+        Where the track holds the needle, it lies on the track, but for the softness of the hold.
+        """
+        contact = self._contact
+        if contact.touching or contact.track is None:
+            return np.array(self._tip_bent)[:, None]
+        held = len(contact.arclength)
+        points = contact.track.points[:held] + contact.moved[:held]
+        bent = self._pose.aside(points).T
+        bent += contact.softness * contact.lateral
+        return bent
+
+    @cached_property
     def friction_force(self) -> float:
         """Sum of the axial friction on the tissue, positive when pushing in, N."""
         return float(self._contact.friction.sum())

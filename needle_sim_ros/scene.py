@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -130,7 +131,7 @@ class Needle:
     second_moment: float | None = quantity(None, unit="m^4", gt=0)
     tip: Tip = field(default_factory=Tip)
 
-    @property
+    @cached_property
     def flexural_rigidity(self) -> float:
         """E I, N m^2."""
         solid = math.pi * self.radius**4 / 4

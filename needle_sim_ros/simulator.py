@@ -27,8 +27,7 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
 from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, equal_parts, parts_of_step
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
-from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
 class Snapshot(NamedTuple):
@@ -212,16 +211,16 @@ class Simulator:
         """Move the tissue on by a part of the tick, and the contact in as many as it takes."""
         dynamics, (start, end) = self._dynamics, span
         prediction = dynamics.predict(tissue, settling)
-        way, spacing = (end - start) * route.length, self.scene.solver.track_spacing
-        if not equal:
-            equal = parts_of_step(contact, way, spacing)
-
+        spacing, far = self.scene.solver.track_spacing, (end - start) * route.advance
+        if self._own_step is not None:
+            check_way(contact, far, spacing)
+            equal = parts_of_step(contact, (end - start) * route.length, spacing)
         begun = contact.forces
 
-        def sample(table: ResponseTable, forces: Vector, footprint: Footprint) -> Vector:
+        def sample(table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
             change = forces.copy()
             change[: len(begun)] -= begun[: len(change)]
-            return dynamics.at(tissue, table, forces, change, footprint)
+            return dynamics.at(tissue, table, forces, change, reading)
 
         free, advance, count = None, 0.0, 0
         done, size = start, (end - start) / equal
@@ -239,7 +238,7 @@ class Simulator:
                 advance += step.advance
                 pose, done, count = after, share, count + 1
         if self._own_step is not None:
-            check_way(contact, way, spacing)
+            check_way(contact, far, spacing)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
         if not math.isfinite(float(contact.forces.sum()) + contact.depth):

@@ -26,9 +26,9 @@ from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.response import ResponseTable
 
-# how far the needle may go in one time step of Newmark's method, in track spacings: beyond,
-# the tissue's motion on the way is not followed
-_FARTHEST = 2
+# how far the needle may go in and out in one time step of Newmark's method, in track spacings:
+# beyond, the tissue's motion on the way is not followed
+_FARTHEST_IN, _FARTHEST_OUT = 2, 4
 
 
 class Route:
@@ -48,9 +48,11 @@ class Route:
     ----------
     length : float
         Of the way, m.
+    advance : float
+        Of it along the needle, m.
     """
 
-    __slots__ = ("_motion", "_orientation", "_pose", "_position", "length")
+    __slots__ = ("_motion", "_orientation", "_pose", "_position", "advance", "length")
 
     def __init__(
         self, position: Vector, orientation: Vector, pose: BasePose, motion: BaseMotion
@@ -58,6 +60,7 @@ class Route:
         self._position, self._orientation = position, orientation
         self._pose, self._motion = pose, motion
         self.length = math.dist(motion.position, position)
+        self.advance = float(pose.along(pose.moved_to(motion.position).origin))
 
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""
@@ -103,11 +106,21 @@ def equal_parts(
     return steps
 
 
-def check_way(contact: ContactState, way: float, spacing: float) -> None:
-    """Raise CommandError where the base goes too far, m, in a time step of Newmark's method."""
-    if contact.inserted and way > _FARTHEST * spacing * (1 + 1e-9):
+def check_way(contact: ContactState, advance: float, spacing: float) -> None:
+    """Raise CommandError where a time step of Newmark's method takes the needle too far.
+
+    Parameters
+    ----------
+    contact : ContactState
+    advance : float
+        Of the base along the needle in the step, m.
+    spacing : float
+        Of the track, m.
+    """
+    most = _FARTHEST_IN if advance > 0 else _FARTHEST_OUT
+    if contact.inserted and abs(advance) > most * spacing * (1 + 1e-9):
         raise CommandError(
-            f"the base would go {way:g} m in one time step, more than {_FARTHEST} times "
+            f"the needle would go {abs(advance):g} m in one time step, more than {most} times "
             f"solver.track_spacing ({spacing:g} m): solver.time_step is too long for it"
         )
 
@@ -122,13 +135,7 @@ def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
         Of the base in the step, m.
     spacing : float
         Of the track, m.
-
-    Raises
-    ------
-    CommandError
-        When the way is too long for one step.
     """
-    check_way(contact, way, spacing)
     return max(1, math.ceil(2 * way / spacing - 1e-9)) if contact.inserted else 1
 
 

@@ -161,13 +161,13 @@ def _lifted(simulator: Simulator) -> Observation:
     """Draw the needle back: along itself, or else straight up; from beside, away."""
     seen = simulator.observe()
     axis = rotation_matrix(seen.base_orientation)[:, 2]
-    aside = [math.copysign(0.05, seen.base_position[0]), 0.0, 0.0]
     for velocity in (-0.05 * axis, [0.0, 0.0, 0.05]):
         try:
             return simulator.step(BaseCommand(velocity=velocity), _DT)
         except CommandError:
             continue
-    return simulator.step(BaseCommand(velocity=aside), _DT)
+    way = math.copysign(simulator.scene.tissue.size[0], seen.tip_position[0])
+    return simulator.step(BaseCommand(position=np.add(seen.base_position, [way, 0.0, 0.0])), _DT)
 
 
 def _against_fresh(old: Simulator) -> float:

@@ -48,7 +48,7 @@ class TipLimit(NamedTuple):
 
 
 class BalanceSolution(NamedTuple):
-    """Forces and kinematics of a step, the fields as in ContactState.
+    """Forces and kinematics of a step: the last fields of ContactState, in its order, and more.
 
     Attributes
     ----------
@@ -63,6 +63,7 @@ class BalanceSolution(NamedTuple):
     friction: Vector
     tip: float
     arclength: Vector
+    softness: Vector
     share: Vector
     strain: Vector
     slip: Vector
@@ -76,11 +77,13 @@ class BalanceSolution(NamedTuple):
     overlap: float
     lack: float = 0.0
 
-    def fields(self) -> dict[str, Any]:
+    def in_state(self) -> tuple[Any, ...]:
         """Return what goes into the state."""
-        fields = self._asdict()
-        del fields["overlap"], fields["lack"]
-        return fields
+        return self[:-2]
+
+    def fields(self) -> dict[str, Any]:
+        """Return what goes into the state, by name."""
+        return dict(zip(self._fields, self.in_state(), strict=False))
 
 
 class Balance:
@@ -145,6 +148,7 @@ class Balance:
             friction=np.zeros(1),
             tip=force,
             arclength=self._tip_at,
+            softness=np.zeros(1),
             share=np.ones(1),
             strain=np.zeros(1),
             slip=np.zeros(1),
@@ -189,30 +193,30 @@ class Balance:
         n = last + 2  # rows: the points passed and the one ahead of the tip
         held = max(1, last + (depth - h * last > LEAST * h))
         free = step.free(track.table)
-        placed = track.points + free
         length = coverage(depth, n, h)
         share = tip_share(length, depth, limit.spread, h)
         bounds = friction.guess(status, n)
         start = FrictionStart.of(track, memory, bounds, step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
-        short = pose.origin - track.at(depth) - share @ free[:n]
         presliding = np.maximum(length, LEAST * h)
         presliding *= stiffness
         np.reciprocal(presliding, out=presliding)
-        elastic = (moved[:n] - free[:n]) @ pose.axial
+        along = free[:n] @ pose.axial
+        elastic = moved[:n] @ pose.axial
+        elastic -= along
         elastic += step.advance
         elastic += start.strain
         problem = SlidingProblem(
             pose=pose,
-            between=track.table.between(n),
+            table=track.table,
             arclength=self._places[:held] + (self._length - depth),
             softness=self._softness(depth, held, limit.spread, h),
             presliding=presliding,
             share=share,
             tip_softness=self._tip_softness,
-            aside=(pose.origin - placed[:held]) @ pose.lateral.T,
+            free=track.points[:held] + free[:held],
             elastic=elastic,
-            reach=self._length + track.dent + float(pose.axial @ short),
+            reach=self._length + track.dent - pose.reach(track.place(depth)) - float(share @ along),
             tip_bound=limit.force,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
@@ -232,6 +236,7 @@ class Balance:
             friction=found.friction,
             tip=found.tip,
             arclength=problem.arclength,
+            softness=problem.softness,
             share=share,
             strain=found.strain,
             slip=slipped,

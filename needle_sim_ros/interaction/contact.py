@@ -26,8 +26,7 @@ from needle_sim_ros.interaction.stretches import tip_bound
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 # of the cutting rate of the last step, how much of it the next one is taken to cut beforehand
 _FORESIGHT = 0.98
@@ -43,7 +42,7 @@ _BY_LACK, _MORE = 3, 1.3
 # how much it may have cut without the force that it takes
 _SLIGHT, _UNCUT = 0.05, 0.02
 FreeRows = Callable[[ResponseTable], Vector]
-Sampler = Callable[[ResponseTable, Vector, Footprint], Vector]
+Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
 
 
 class Step:
@@ -58,7 +57,7 @@ class Step:
         Displacement of the rows of a table at the end of the step without contact
         forces, (n, d).
     sample : callable
-        Displacement (d,) of a footprint under forces on the rows of a table.
+        Displacement (d,) of a footprint, by its reading, under forces on the rows of a table.
     advance : float
         How far the base moves along the needle, m.
     """
@@ -70,7 +69,7 @@ class Step:
     ) -> None:
         self.before, self.after, self.duration = before, after, duration
         self.free, self.sample = free, sample
-        self.advance = float(after.axial @ (after.origin - before.origin))
+        self.advance = -after.reach(before.origin.tolist())
 
 
 class Contact:
@@ -226,7 +225,7 @@ class Contact:
             solution = self._balance.inserted(track, step, moved, memory, status, depth, limit)
             solves += solution.solves
             forces = solution.forces
-            change = solution.overlap / float(step.after.axial @ track.direction(depth))
+            change = solution.overlap / step.after.cosine(track.direction(depth))
             if engaged:
                 settled = abs(change) <= nearly
                 if change > 0:
@@ -267,17 +266,10 @@ class Contact:
                 f"the needle's whole length, {self._scene.needle.length:g} m, would be inserted"
             )
         went = (depth - state.depth) / advance if heading else 0.0
-        fields = solution.fields()
-        fields["solves"] = solves
-        return ContactState(
-            track=track,
-            inserted=True,
-            depth=depth,
-            front=front,
-            rate=min(max(went, 0.0), 1.0),
-            heading=heading,
-            **fields,
-        )
+        if solves != solution.solves:
+            solution = solution._replace(solves=solves)
+        rate = min(max(went, 0.0), 1.0)
+        return ContactState(track, False, True, depth, front, rate, heading, *solution.in_state())
 
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
         zero = np.zeros_like(track.points)

@@ -12,6 +12,7 @@ limit under refinement exists, which point forces do not have.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +30,17 @@ _ANGLES = (np.arange(8) + 0.5) * (np.pi / 4)
 _RADII = np.repeat(np.sqrt(0.5 * (_RINGS + 1)), len(_ANGLES))
 _DISC = _RADII[:, None] * np.tile(np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]), (3, 1))
 _DISC_WEIGHT = np.repeat(0.5 * _RING_WEIGHT / len(_ANGLES), len(_ANGLES))
+# range of node numbers up to which an array with a place for each is cheaper than sorting
+_NUMBERS = 20_000
 # places along the track ahead of the tip at which its needs are foreseen
 _AHEAD = 8
+
+
+class Shares(NamedTuple):
+    """What a footprint is made of: nodes (k, b) about k places, and their weights (k, b)."""
+
+    nodes: Index
+    weights: Vector
 
 
 class Coupling:
@@ -53,7 +63,11 @@ class Coupling:
         self._along, self._along_weight = np.polynomial.legendre.leggauss(count)
 
     def hat(self, before: Vector, point: Vector, after: Vector) -> Footprint:
-        """Return the footprint of a track point.
+        """Return the footprint of a track point; parameters as of :meth:`hat_shares`."""
+        return added_up(self.hat_shares(before, point, after))
+
+    def hat_shares(self, before: Vector, point: Vector, after: Vector) -> Shares:
+        """Return what the footprint of a track point is made of.
 
         Parameters
         ----------
@@ -64,18 +78,18 @@ class Coupling:
         for other in (before, after):
             span = other - point
             part = 0.5 * (self._along + 1)  # 0 at the point, 1 at the neighbour
-            length = float(np.linalg.norm(span))
+            length = math.sqrt(float(span @ span))
             section, share = self._section(span / length)
             along = point + part[:, None] * span
             places.append((along[:, None, :] + section[None, :, :]).reshape(-1, len(point)))
             hat = 0.5 * self._along_weight * (1 - part) * length
             weights.append((hat[:, None] * share[None, :]).ravel())
-        return self._gather(np.concatenate(places), np.concatenate(weights))
+        return self._shares(np.concatenate(places), np.concatenate(weights))
 
     def section(self, point: Vector, direction: Vector) -> Footprint:
         """Return the mean over one cross-section, perpendicular to a unit direction (d,)."""
         section, share = self._section(direction)
-        return self._gather(point + section, share)
+        return added_up(self._shares(point + section, share))
 
     def ahead(self, point: Vector, direction: Vector, reach: float) -> Index:
         """Return the nodes that a track from a point along a unit direction will touch."""
@@ -87,10 +101,10 @@ class Coupling:
         nodes, values, inside = self._model.shape_functions(places)
         return np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])
 
-    def turning(self, point: Vector, direction: Vector, length: float) -> Footprint:
-        """Return how the mean displacement changes per length from a point along a direction.
+    def turning(self, point: Vector, direction: Vector, length: float) -> Shares:
+        """Return what tells how the mean displacement changes per length along a direction.
 
-        Cross-sections at the point and a length ahead of it; weights add up to zero.
+        Cross-sections at a point and a length ahead of it; weights add up to zero.
         """
         section, share = self._section(direction)
         places = np.concatenate([point + section, point + length * direction + section])
@@ -100,11 +114,10 @@ class Coupling:
         ends = len(share)
         before, after = -weights[:ends].sum(), weights[ends:].sum()
         if before <= 0 or after <= 0:  # one of them lies outside: nothing to compare
-            return Footprint(nodes[:1, 0], np.zeros(1))
+            return Shares(nodes[:1, :1], np.zeros((1, 1)))
         weights[:ends] /= before * length
         weights[ends:] /= after * length
-        merged, total = _merged(nodes, values * weights[:, None])
-        return Footprint(merged, total)
+        return Shares(nodes, values * weights[:, None])
 
     def _section(self, direction: Vector) -> tuple[Vector, Vector]:
         if len(direction) == 3:
@@ -120,20 +133,29 @@ class Coupling:
         normals = np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
         return self.radius * (_DISC @ normals), _DISC_WEIGHT
 
-    def _gather(self, places: Vector, weights: Vector) -> Footprint:
+    def _shares(self, places: Vector, weights: Vector) -> Shares:
         nodes, values, inside = self._model.shape_functions(places)
-        if not inside.all():
-            # a cross-section at the surface or a side counts with the part in the tissue
-            if not inside.any():
-                inside = np.ones(len(places), dtype=bool)
+        # a cross-section at the surface or a side counts with the part in the tissue
+        if not inside.all() and inside.any():
             nodes, values, weights = nodes[inside], values[inside], weights[inside]
-        merged, total = _merged(nodes, values * weights[:, None])
-        return Footprint(merged, total / total.sum())
+        return Shares(nodes, values * (weights / weights.sum())[:, None])
 
 
-def _merged(nodes: Index, shares: Vector) -> tuple[Index, Vector]:
-    """Add up the shares of each node; leave out those that get nothing."""
-    merged, where = np.unique(nodes.ravel(), return_inverse=True)
-    total = np.bincount(where.ravel(), weights=shares.ravel(), minlength=len(merged))
-    keep = np.abs(total) > 1e-14 * np.abs(total).max()
-    return merged[keep], total[keep]
+def added_up(shares: Shares) -> Footprint:
+    """Return the footprint that shares make; nodes that get nothing are left out."""
+    flat, given = shares.nodes.ravel(), shares.weights.ravel()
+    lowest = int(flat.min())
+    if int(flat.max()) - lowest < _NUMBERS:
+        total = np.asarray(np.bincount(flat - lowest, weights=given), dtype=float)
+        keep = _noted(total)
+        return Footprint(keep + lowest, total.take(keep))
+    merged, where = np.unique(flat, return_inverse=True)
+    total = np.asarray(np.bincount(where.ravel(), weights=given), dtype=float)
+    keep = _noted(total)
+    return Footprint(merged.take(keep), total.take(keep))
+
+
+def _noted(total: Vector) -> Index:
+    """Return which entries are more than rounding."""
+    size = np.abs(total)
+    return np.flatnonzero(size >= 1e-14 * size.max())

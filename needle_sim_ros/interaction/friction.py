@@ -52,8 +52,10 @@ class FrictionStart(NamedTuple):
         Bounds that hold, as guessed.
     advance : float
         Of the needle in the step, m.
-    onward : ndarray, shape (n,)
-        Slip to be expected in the step where a point goes on sliding, m.
+    slid : ndarray, shape (n,)
+        In the step before, m.
+    pace : float
+        Of this step, in proportion to the one before.
     sliding : int
         1 or -1 where all points are guessed to go on sliding as they do, else 0.
     """
@@ -64,8 +66,14 @@ class FrictionStart(NamedTuple):
     strain: Vector
     status: NDArray[np.int8]
     advance: float
-    onward: Vector
+    slid: Vector
+    pace: float
     sliding: int
+
+    @property
+    def onward(self) -> Vector:
+        """Slip to be expected in the step where a point goes on sliding, m, shape (n,)."""
+        return np.abs(self.slid) * self.pace
 
     @classmethod
     def of(
@@ -79,14 +87,12 @@ class FrictionStart(NamedTuple):
         n = len(status) - 1
         slip, strain, slid = (_fitted(values, n) for values in memory[:3])
         before = memory.advance
-        onward = np.abs(slid)
-        onward *= advance / before if advance * before > 0 else 0.0
-        total = int(status.sum())
-        sliding = (total > 0) - (total < 0)
-        if abs(total) <= n or advance * sliding <= 0 or float((sliding * strain).min()) <= 0:
+        pace = advance / before if advance * before > 0 else 0.0
+        sliding = _one_way(status)
+        if advance * sliding <= 0 or _least(strain, sliding) <= 0:
             sliding = 0
         static, kinetic = track.static[:n], track.kinetic[:n]
-        return cls(static, kinetic, slip, strain, status[:-1], advance, onward, sliding)
+        return cls(static, kinetic, slip, strain, status[:-1], advance, slid, pace, sliding)
 
 
 def limits(laws: Laws, start: FrictionStart) -> tuple[Vector, Vector]:
@@ -161,6 +167,19 @@ def guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:
         last = friction[-1] if len(friction) else 0
         friction = np.append(friction, np.full(n - len(friction), last, dtype=np.int8))
     return np.concatenate([friction[:n], tip])
+
+
+def _one_way(status: NDArray[np.int8]) -> int:
+    """Return the bound, 1 or -1, where it is the same of all; else 0."""
+    first = int(status[0])
+    if first != 0 and status.tobytes().count(status[:1].tobytes()) == len(status):
+        return first
+    return 0
+
+
+def _least(values: Vector, sign: int) -> float:
+    """Return the least of values times 1 or -1."""
+    return float(values.min()) if sign > 0 else -float(values.max())
 
 
 def _fitted(values: Vector, n: int) -> Vector:

@@ -14,11 +14,12 @@ import numpy as np
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.balance import Balance, BalanceSolution
+from needle_sim_ros.interaction.coupling import added_up
 from needle_sim_ros.interaction.state import AIMED, ContactState
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.response import Reading
 
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
 # how far the tip may end from where a step took it to be, in track spacings
 SETTLED = 0.02
 # parts of a segment that the tip has passed at each stage; the point is laid at the last
-_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.58, 0.66, 0.74, 0.98
-# ... and from there to each component that is weighed
-_EACH = 0.08
+_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.68, 0.74, 0.98
+# ... and from there to each further step of it: a footprint that is added up, a component
+# that is read where it is foreseen, or weighed
+_EACH = 0.06
 
 
 class TrackGrowth:
@@ -45,6 +47,7 @@ class TrackGrowth:
         self._needle, self._layer, self._balance = scene.needle, layer, balance
         self._bevel = tip.spread_length(scene.needle)
         self._half = np.array(scene.tissue.size) / 2
+        self._dimension = scene.dimension
         # the tissue's turning is felt over the bevel: on longer segments headings differ by
         # more than the path's own turn, and foresight by the last one would overshoot
         self._foresight = 2 * scene.solver.track_spacing <= self._bevel
@@ -52,8 +55,9 @@ class TrackGrowth:
     def opened(self, track: Track, step: Step, bent: BalanceSolution, forces: Vector) -> Track:
         """Return a track of one point with the second one, where the broken surface leads."""
         direction = self._cut(step, bent)
-        turning = self._layer.coupling.turning(track.points[0], direction, self._bevel)
-        heading = _pulled_back(step, track, direction, forces, turning)
+        place = self._layer.coupling.turning(track.points[0], direction, self._bevel)
+        reading = track.table.reading(added_up(place))
+        heading = _pulled_back(step, track, direction, forces, reading)
         return self._layer.extend(self._layer.aim(track, heading))
 
     def grown(
@@ -74,6 +78,14 @@ class TrackGrowth:
                 if passed < _FORESEEN:
                     return track
                 track = layer.foresee(track, self._bevel)
+            elif ahead.shares is not None:
+                if passed < (_FORESEEN if ahead.point is None else _SPREAD) + _EACH:
+                    return track
+                track = layer.gather(track)
+            elif ahead.turning is not None and len(ahead.turning.columns) < self._dimension:
+                if passed < _FORESEEN + _EACH * (2 + len(ahead.turning.columns)):
+                    return track
+                track = layer.read(track)
             elif ahead.point is None:
                 if passed < AIMED:
                     return track
@@ -117,7 +129,7 @@ class TrackGrowth:
 
 
 def _pulled_back(
-    step: Step, track: Track, direction: Vector, forces: Vector, turning: Footprint | None
+    step: Step, track: Track, direction: Vector, forces: Vector, turning: Reading | None
 ) -> Vector:
     """Return the direction of the next piece of track, in the undeformed tissue.
 

@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from needle_sim_ros.geometry import Vector, rotation_matrix
 
 
-@dataclass(frozen=True)
-class BasePose:
+class BasePose(NamedTuple):
     """Pose of the needle base: Eqs. (12) and (15), as axes instead of angles.
 
     Attributes
@@ -44,8 +43,17 @@ class BasePose:
 
     def moved_to(self, position: Vector) -> BasePose:
         """Return the pose with the clamp at another world position (3,)."""
-        origin = position if len(self.axial) == 3 else position[[0, 2]]
+        origin = position if len(self.axial) == 3 else position[::2]
         return BasePose(origin, self.axial, self.lateral, self.terms)
+
+    def reach(self, point: list[float]) -> float:
+        """Return the axial coordinate of one point (d), m from the clamp."""
+        origin = self.origin.tolist()
+        return sum([c * (point[i] - origin[i]) for i, c in self.terms[-1]])
+
+    def cosine(self, direction: list[float]) -> float:
+        """Return the cosine of the angle between the axis and a unit direction (d)."""
+        return sum([c * direction[i] for i, c in self.terms[-1]])
 
     def along(self, point: Vector) -> Vector:
         """Return the axial coordinate of points (..., d), m from the clamp."""

@@ -20,6 +20,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.needle import beam
+from needle_sim_ros.tissue.response import ResponseTable
 
 
 class TrackForces(NamedTuple):
@@ -67,8 +68,8 @@ class SlidingProblem:
     Attributes
     ----------
     pose : BasePose
-    between : ndarray, shape (n d, n d)
-        Compliance of the tissue, m/N.
+    table : ResponseTable
+        Compliance of the tissue between the points of the track.
     arclength : ndarray, shape (k,)
         Of the held points, falling distance to the tip, m.
     softness : ndarray, shape (k,)
@@ -79,8 +80,8 @@ class SlidingProblem:
         How the tip force is spread.
     tip_softness : float
         Of the tip itself, m/N.
-    aside : ndarray, shape (k, d - 1)
-        How far the free track points lie from the undeflected needle, negated, m.
+    free : ndarray, shape (k, d)
+        Where the held points would be without forces, m.
     elastic : ndarray, shape (n,)
         Presliding that would be without forces, m.
     reach : float
@@ -94,13 +95,13 @@ class SlidingProblem:
     """
 
     pose: BasePose
-    between: Vector
+    table: ResponseTable
     arclength: Vector
     softness: Vector
     presliding: Vector
     share: Vector
     tip_softness: float
-    aside: Vector
+    free: Vector
     elastic: Vector
     reach: float
     tip_bound: float
@@ -124,9 +125,9 @@ class SlidingProblem:
             tip = self.tip_bound
             axial = tip * self.share
             axial += friction
-        forces = np.multiply.outer(axial, pose.axial)
-        pushed = (self.between @ forces.ravel()).reshape(forces.shape)
-        right = self.aside - pushed[:k] @ pose.lateral.T
+        right = (pose.origin - self.free) @ pose.lateral.T
+        for a, gap in enumerate(right.T):
+            gap -= self._component(a, len(pose.lateral), k, len(axial)) @ axial
         # row-major lower is column-major upper
         _, lateral, info = lapack.dposv(
             self._lateral_compliance().T, right.T.ravel(), lower=0, overwrite_a=1, overwrite_b=1
@@ -134,8 +135,9 @@ class SlidingProblem:
         if info != 0:
             raise SolverError("the lateral compliance is not positive definite")
         lateral = lateral.reshape(-1, k)
+        forces = axial[:, None] * pose.axial
         forces[:k] += lateral.T @ pose.lateral
-        moved = (self.between @ forces.ravel()).reshape(forces.shape)
+        moved = (self.table.between(len(axial)) @ forces.ravel()).reshape(forces.shape)
         along = moved @ pose.axial
         strain = self.presliding * friction
         slid = self.elastic - along
@@ -153,12 +155,9 @@ class SlidingProblem:
     def _lateral_compliance(self) -> Vector:
         """Return what the lateral forces do to the gaps, (m k, m k); lower triangle only."""
         s, k, m = self.arclength, len(self.arclength), len(self.pose.lateral)
-        # a^2 (3 b - a) / 6EI below the diagonal: all that the factorisation reads
-        squared = s * s
-        bend = np.multiply.outer(s, squared * (0.5 / self.rigidity))
-        squared *= s
-        squared *= 1.0 / (6.0 * self.rigidity)
-        bend -= squared
+        # a^2 (b - a / 3) / 2EI below the diagonal: all that the factorisation reads
+        bend = s[:, None] - s * (1.0 / 3.0)
+        bend *= s * s * (0.5 / self.rigidity)
         bend.reshape(-1)[:: k + 1] += self.softness
         if m == 1:
             bend += self._component(0, 0, k, k)
@@ -173,16 +172,7 @@ class SlidingProblem:
 
     def _component(self, u: int, v: int, rows: int, columns: int) -> Vector:
         """Return the compliance along axis u of the first rows per force along axis v."""
-        terms, total = self.pose.terms, None
-        d = len(terms)
-        for a, x in terms[u]:
-            for b, y in terms[v]:
-                part = self.between[a : d * rows : d, b : d * columns : d]
-                if x * y != 1.0:
-                    part = part * (x * y)
-                total = part if total is None else total + part
-        assert total is not None
-        return np.asarray(total)
+        return self.table.along(self.pose.terms, u, v)[:rows, :columns]
 
     def bounded(self, low: Vector, high: Vector, status: NDArray[np.int8]) -> TrackForces:
         """Solve the bounded problem in full.
@@ -216,7 +206,8 @@ class SlidingProblem:
         matrix.reshape(-1)[wide * (size + 1) : -1 : size + 1] += self.presliding
         matrix[wide:-1, -1] = matrix[-1, wide:-1] = pressed
         matrix[-1, -1] = self.share @ pressed + self.tip_softness
-        right = np.concatenate([self.aside.T.ravel(), self.elastic, [self.reach]])
+        aside = (pose.origin - self.free) @ pose.lateral.T
+        right = np.concatenate([aside.T.ravel(), self.elastic, [self.reach]])
         free = np.full(wide, np.inf)
         low = np.concatenate([-free, low, [0.0]])
         high = np.concatenate([free, high, [self.tip_bound]])
@@ -230,7 +221,7 @@ class SlidingProblem:
         lateral = lateral.reshape(m, k)
         forces = np.multiply.outer(friction + tip * self.share, pose.axial)
         forces[:k] += lateral.T @ pose.lateral
-        moved = (self.between @ forces.ravel()).reshape(forces.shape)
+        moved = (self.table.between(n) @ forces.ravel()).reshape(forces.shape)
         strain = self.presliding * friction
         return TrackForces(
             lateral,

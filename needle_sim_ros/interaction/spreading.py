@@ -23,7 +23,8 @@ def coverage(depth: float, count: int, spacing: float) -> Vector:
     length[first] = spacing * one
     if first + 1 < count:
         length[first + 1] = spacing * two
-        length[first + 2 :] = 0.0
+        if first + 2 < count:
+            length[first + 2 :] = 0.0
     # the entry has no hat above the surface
     length[0] = max((one if first == 0 else 1.0) * spacing - spacing * 0.5, 0.0)
     return length
@@ -48,14 +49,14 @@ def tip_share(length: Vector, depth: float, spread: float, spacing: float) -> Ve
     depth, spread, spacing : float
         Depth of the tip, bevel length, track spacing, m.
     """
-    share = length.copy()
+    share, first = length.copy(), 0
     if depth > spread:
         first, one, two = _ends((depth - spread) / spacing, len(length))
         share[:first] = 0.0
         share[first] -= spacing * (one if first else max(one - 0.5, 0.0))
         if first + 1 < len(length):
             share[first + 1] -= spacing * two
-    total = float(share.sum())
+    total = sum(share[first:].tolist())
     if total <= LEAST * spacing:
         share.fill(0.0)
         share[0] = 1.0

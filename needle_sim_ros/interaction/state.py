@@ -51,6 +51,8 @@ class ContactState(NamedTuple):
         c, N, on the tissue, along the base's axis.
     arclength : ndarray, shape (k,)
         s_k where the lateral forces act, m from the clamp.
+    softness : ndarray, shape (k,)
+        Of the hold there, m/N.
     share : ndarray, shape (active,)
         How the tip force is spread over the track points; adds up to 1.
     strain : ndarray, shape (active,)
@@ -85,6 +87,7 @@ class ContactState(NamedTuple):
     friction: Vector = _NONE
     tip: float = 0.0
     arclength: Vector = _NONE
+    softness: Vector = _NONE
     share: Vector = _NONE
     strain: Vector = _NONE
     slip: Vector = _NONE

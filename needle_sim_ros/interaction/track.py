@@ -15,11 +15,11 @@ import numpy as np
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction import stretches
-from needle_sim_ros.interaction.coupling import Coupling
+from needle_sim_ros.interaction.coupling import Coupling, Shares, added_up
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.response import ResponseRow, ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable
 
 # how far ahead of the tip responses are prepared: track spacings, and at least so many m
 _FORESEEN, _AT_LEAST = 14, 0.03
@@ -34,8 +34,10 @@ class NextPoint(NamedTuple):
 
     Attributes
     ----------
-    turning : Footprint or None
-        Reads how the tissue ahead of the tip is turned.
+    shares : Shares or None
+        Of the footprint that is to be known next.
+    turning : Reading or None
+        Tells how the tissue ahead of the tip is turned, as far as it is known.
     point, heading : ndarray, shape (d,), or None
         Its place, m, and the cut's unit direction when it was aimed.
     footprint : Footprint or None
@@ -47,7 +49,8 @@ class NextPoint(NamedTuple):
         The row.
     """
 
-    turning: Footprint | None
+    shares: Shares | None = None
+    turning: Reading | None = None
     point: Vector | None = None
     heading: Vector | None = None
     footprint: Footprint | None = None
@@ -146,13 +149,19 @@ class Track:
 
     def at(self, depth: float) -> Vector:
         """Return the point at a depth along the track, shape (d,)."""
+        return np.array(self.place(depth))
+
+    def place(self, depth: float) -> list[float]:
+        """Return the coordinates of the point at a depth along the track, m."""
         segment = self._segment(depth)
         beyond = depth - segment * self.spacing
-        return np.asarray(self.points[segment] + beyond * self.directions[segment])
+        point, direction = self.points[segment].tolist(), self.directions[segment].tolist()
+        return [x + beyond * e for x, e in zip(point, direction, strict=True)]
 
-    def direction(self, depth: float) -> Vector:
-        """Return the unit direction of the segment at a depth, shape (d,)."""
-        return np.asarray(self.directions[self._segment(depth)])
+    def direction(self, depth: float) -> list[float]:
+        """Return the unit direction of the segment at a depth, (d)."""
+        direction: list[float] = self.directions[self._segment(depth)].tolist()
+        return direction
 
     def _segment(self, depth: float) -> int:
         return int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
@@ -212,6 +221,23 @@ class TrackLayer:
         middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
         return replace(track, ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
 
+    def gather(self, track: Track) -> Track:
+        """Add up the footprint that was foreseen, or spread."""
+        ahead = track.ahead
+        assert ahead is not None and ahead.shares is not None
+        footprint = added_up(ahead.shares)
+        if ahead.point is None:
+            ahead = ahead._replace(shares=None, turning=Reading(footprint))
+        else:
+            ahead = ahead._replace(shares=None, footprint=footprint)
+        return replace(track, ahead=ahead)
+
+    def read(self, track: Track) -> Track:
+        """Find out how forces on the track turn the tissue there, one component more."""
+        ahead = track.ahead
+        assert ahead is not None and ahead.turning is not None
+        return replace(track, ahead=ahead._replace(turning=track.table.read(ahead.turning)))
+
     def aim(self, track: Track, heading: Vector, foresight: bool = False) -> Track:
         """Turn the last segment to where the tip cuts in its middle; foresee the next point.
 
@@ -236,15 +262,15 @@ class TrackLayer:
         point = track.points[-1] + track.spacing * heading
         if foresight and track.heading is not None:
             point += track.spacing * (heading - track.heading)
-        ahead = track.ahead or NextPoint(None)
+        ahead = track.ahead or NextPoint()
         return replace(track, ahead=ahead._replace(point=point, heading=heading))
 
     def spread(self, track: Track) -> Track:
         """Find out which nodes the next point touches."""
         ahead, last = track.ahead, track.points[-1]
         assert ahead is not None and ahead.point is not None
-        hat = self.coupling.hat(last, ahead.point, 2 * ahead.point - last)
-        return replace(track, ahead=ahead._replace(footprint=hat))
+        shares = self.coupling.hat_shares(last, ahead.point, 2 * ahead.point - last)
+        return replace(track, ahead=ahead._replace(shares=shares))
 
     def ask(self, track: Track) -> Track:
         """Have prepared beside the ticks what comes after the next point."""
@@ -258,11 +284,14 @@ class TrackLayer:
         return replace(track, ahead=ahead._replace(asked=True))
 
     def weigh(self, track: Track) -> Track:
-        """Find out how the tissue answers to forces on the next point, one component more."""
+        """Find out how the tissue answers to forces on the next point.
+
+        One component more, and when all are known what else belongs to its row.
+        """
         ahead, table = track.ahead, track.table
         assert ahead is not None and ahead.footprint is not None
         known = ahead.columns
-        if len(known) + 1 == table.compliance.dimension:
+        if len(known) == table.compliance.dimension:
             return replace(track, ahead=ahead._replace(row=table.row(ahead.footprint, known)))
         known = (*known, table.column(ahead.footprint, len(known)))
         return replace(track, ahead=ahead._replace(columns=known))
@@ -270,7 +299,7 @@ class TrackLayer:
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""
         if track.ahead is None or track.ahead.footprint is None:
-            track = self.spread(track)
+            track = self.gather(self.spread(track))
         while track.ahead is None or track.ahead.row is None:
             track = self.weigh(track)
         ahead = track.ahead

@@ -42,38 +42,6 @@ def flexibility(at: Vector, load: Vector, rigidity: float) -> Vector:
     return np.asarray(b)
 
 
-def own_deflection(arclength: Vector, forces: Vector, rigidity: float) -> Vector:
-    """Return the deflection where the forces act, without forming the flexibility.
-
-    Sums over the forces nearer to the clamp and over those farther off: k terms, not k^2.
-
-    Parameters
-    ----------
-    arclength : ndarray, shape (k,)
-        Of the forces, rising, m from the clamp.
-    forces : ndarray, shape (m, k)
-        Lateral forces along m axes, N.
-    rigidity : float
-        N m^2.
-
-    Returns
-    -------
-    ndarray, shape (m, k)
-        m.
-    """
-    s, powers = arclength, np.ones((4, 1, len(arclength)))
-    powers[1] = s
-    np.multiply(s, s, out=powers[2, 0])
-    np.multiply(powers[2], s, out=powers[3])
-    sums = np.cumsum(powers * forces, axis=2)
-    beyond = sums[:2, :, -1:] - sums[:2]
-    bent = s * (3.0 * sums[2])
-    bent -= sums[3]
-    bent += powers[2] * (3.0 * beyond[1] - s * beyond[0])
-    bent /= 6.0 * rigidity
-    return np.asarray(bent)
-
-
 def slope_flexibility(at: Vector, load: Vector, rigidity: float) -> Vector:
     """Return the slope at `at` per unit lateral force at `load`, shape (n, k), 1/N.
 

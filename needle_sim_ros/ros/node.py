@@ -70,7 +70,7 @@ def _run(stop: threading.Event, managed: bool) -> int:
     # What exists now stays: a full garbage collection need not look through it each time.
     gc.collect()
     gc.freeze()
-    gc.disable()  # see Simulation: garbage is collected once a second, outside the ticks
+    gc.disable()  # see Simulation: garbage is collected every ten seconds, outside the ticks
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spinning = threading.Thread(target=spin, name="executor", daemon=True)

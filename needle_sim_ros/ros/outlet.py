@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session.bag import FolderTakenError, Split, new_folder
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from needle_sim_ros.scene import Scene
     from needle_sim_ros.session.history import History
 
+Encoders = Sequence[tuple[Channel, Callable[[int, Any], bytes]]]
 _NAMES = 100  # tries for a folder's name that no other node takes at the same time
 
 
@@ -69,17 +70,21 @@ class Outlet:
         session = self._session
         return self._ended if session is None else session.status
 
-    def emit(self, stamp: int, messages: Iterable[tuple[Channel, Callable[[], bytes]]]) -> None:
-        """Publish and record messages of one simulated time, ns, as far as they are wanted."""
+    def emit(self, stamp: int, *parts: tuple[Any, Encoders]) -> None:
+        """Publish and record messages of one simulated time, ns, as far as they are wanted.
+
+        Each part is a subject and, by channel, what makes the bytes of a stamp and that.
+        """
         session, recorded, sinks = self._session, [], self._sinks
-        for channel, encode in messages:
-            sink = sinks.get(channel)
-            wanted = sink is not None and sink.wanted()
-            if wanted or session is not None:
-                data = encode()
-                recorded.append((channel, data))
-                if sink is not None and wanted:
+        for subject, encoders in parts:
+            for channel, encode in encoders:
+                sink = sinks.get(channel)
+                if sink is not None and sink.wanted():
+                    data = encode(stamp, subject)
+                    recorded.append((channel, data))
                     sink.publish(data)
+                elif session is not None:
+                    recorded.append((channel, encode(stamp, subject)))
         if session is not None:
             session.write(self.epoch + stamp, recorded)
 
@@ -89,11 +94,11 @@ class Outlet:
         if session is not None:
             session.write(self.epoch + stamp, [(channel, data)])
 
-    def publish(self, channel: Channel, data: bytes) -> None:
-        """Publish on a topic that has a sink, and do not record."""
+    def publish(self, channel: Channel, encode: Callable[[int], bytes], stamp: int) -> None:
+        """Publish on a topic, if it has a sink, and do not record."""
         sink = self._sinks.get(channel)
         if sink is not None:
-            sink.publish(data)
+            sink.publish(encode(stamp))
 
     def start(
         self, parent: Path, scene: Scene, period: float, history: History, split: Split

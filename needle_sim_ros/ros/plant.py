@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros.commands import Numbers, StageCommands
-from needle_sim_ros.ros.outlet import Naming, Outlet, Sink
+from needle_sim_ros.ros.outlet import Encoders, Naming, Outlet, Sink
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.session import cdr, channels
 from needle_sim_ros.session.bag import NO_SPLIT, Split
@@ -31,6 +30,11 @@ if TYPE_CHECKING:
     from needle_sim_ros.geometry import Vector
     from needle_sim_ros.observation import Observation
     from needle_sim_ros.statistics import Statistics
+
+_EVENTS: Encoders = (
+    (channels.EVENTS, lambda stamp, event: channels.event_message(event[0], **event[1])),
+)
+_TICK_TIME: Encoders = ((channels.TICK_TIME, lambda stamp, took: cdr.float64(took)),)
 
 
 class Plant:
@@ -71,8 +75,10 @@ class Plant:
         self.last_observation: Observation | None = None
         self.watch: Callable[[Observation, Motion], object] | None = None  # told of every tick
         self._simulator = Simulator(scene)
-        self._encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
-        self._motion_encoders = channels.motion_encoders(naming.tissue_frame)
+        encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
+        motions = channels.motion_encoders(naming.tissue_frame)
+        self._encoders = tuple(encoders.items())
+        self._motion_encoders = {kind: (encoder,) for kind, encoder in motions.items()}
         self._outlet = Outlet(naming, sinks)
         self._warn = warn
         self._lock = threading.Lock()
@@ -199,8 +205,7 @@ class Plant:
 
     def _event(self, event: str, **details: object) -> None:
         details = {"time": self.time, "ticks": self.ticks, **details}
-        message = partial(channels.event_message, event, **details)
-        self._outlet.emit(self.stamp, [(channels.EVENTS, message)])
+        self._outlet.emit(self.stamp, ((event, details), _EVENTS))
 
     def _begin(self) -> None:
         base = self.scene.base
@@ -223,16 +228,13 @@ class Plant:
         self._position = observation.base_position.tolist()
         self._orientation = observation.base_orientation.tolist()
         stamp = self.stamp
-        self._outlet.publish(channels.CLOCK, cdr.clock(stamp))
-        applied, encode_motion = self._motion_encoders[motion.kind]
-        messages: list[tuple[Channel, Callable[[], bytes]]] = [
-            (channel, partial(encode, stamp, observation))
-            for channel, encode in self._encoders.items()
-        ]
-        messages.append((applied, partial(encode_motion, stamp, motion)))
-        took = self._simulator.statistics.last_tick_time
-        messages.append((channels.TICK_TIME, partial(cdr.float64, took)))
-        self._outlet.emit(stamp, messages)
+        self._outlet.publish(channels.CLOCK, cdr.clock, stamp)
+        self._outlet.emit(
+            stamp,
+            (observation, self._encoders),
+            (motion, self._motion_encoders[motion.kind]),
+            (self._simulator.statistics.last_tick_time, _TICK_TIME),
+        )
 
     def _step(self) -> tuple[Observation, Motion] | None:
         """Step by the command in force, or stand still where the simulator refuses it."""

@@ -35,6 +35,7 @@ from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
+_GARBAGE_REPORTS = 10  # diagnostics between two collections of garbage
 _HEARERS_PERIOD = 0.05  # s, after which a new subscriber is noticed
 _CLOCK_POLL = 1e-3  # s, how often a clock from outside is looked at
 
@@ -69,7 +70,7 @@ class Simulation:
         self._node = node
         self._undo: list[Callable[[], object]] = []
         self._beside: list[Callable[[], object]] = []  # ends what runs beside the ticks
-        self._lost = 0
+        self._lost = self._reports = 0
         self._inputs: Inputs | None = None
         self.active = True
         self.priority = "normal"
@@ -213,8 +214,9 @@ class Simulation:
                 self.plant.event("parameter", name=change.name, value=change.value)
 
     def _diagnose(self) -> None:
-        if not gc.isenabled():
-            gc.collect()
+        self._reports += 1
+        if not gc.isenabled() and self._reports % _GARBAGE_REPORTS == 0:
+            gc.collect()  # holds up a tick or two at 1 kHz
         data = serialize_message(self._diagnostics.message())
         self.outputs.sinks[channels.DIAGNOSTICS].publish(data)
         self.plant.record(channels.DIAGNOSTICS, data)

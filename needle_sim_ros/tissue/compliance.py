@@ -182,10 +182,10 @@ class NodalCompliance:
 
     def ensure(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Compute the responses of the tiles of `nodes` that are missing; return how many."""
-        missing = self._slot[nodes] < 0
-        if not missing.any():
+        slots = self._slot.take(nodes)
+        if len(slots) == 0 or int(slots.min()) >= 0:
             return 0
-        tiles = np.unique(self._tile_of[nodes[missing]])
+        tiles = np.unique(self._tile_of[nodes[slots < 0]])
         rank = self._rank[self._tile_of[self._kept]].max(initial=-len(self._rank))
         self._lacking = self._lacking or bool((self._rank[tiles] < rank).any())
         for tile in tiles:
@@ -288,7 +288,7 @@ class NodalCompliance:
         self._blocks, self._read = blocks, read
 
     def column(self, footprint: Footprint, at: Index, component: int) -> Vector:
-        """Return the displacement (k, d) of nodes per unit force component on a footprint.
+        """Return the displacement (d, k) of nodes per unit force component on a footprint.
 
         Parameters
         ----------
@@ -299,45 +299,30 @@ class NodalCompliance:
         component : int
             Of the force.
         """
-        return np.asarray(self._at_nodes(footprint, at, (component,))[0])
+        d, nodes = self._d, footprint.nodes
+        self.ensure(nodes)
+        self.ensure(at)
+        self._complete(nodes, at)
+        moved = np.empty((d, len(at)))
+        if len(at) == 0:
+            return moved
+        places = self._slot.take(at)
+        low, high = int(places.min()), int(places.max()) + 1
+        read = self._blocks[d * self._slot.take(nodes) + component, d * low : d * high]
+        # sums node by node: unlike a product it gives the same bits whatever is read
+        summed = np.einsum("k,kn->n", footprint.weights, read)
+        places -= low
+        places *= d
+        for b in range(d):
+            summed[b:].take(places, out=moved[b], mode="clip")
+        return moved
 
     def at_readers(self, footprint: Footprint) -> Vector:
         """Return the displacement at the readers, (r, d), per unit force component."""
         self.ensure(footprint.nodes)
-        d, slots = self._d, self._slot[footprint.nodes]
-        columns = [(self._read[:, d * slots + a] * footprint.weights).sum(axis=1) for a in range(d)]
+        places = self._d * self._slot.take(footprint.nodes)
+        columns = [self._read.take(places + a, axis=1) @ footprint.weights for a in range(self._d)]
         return np.stack(columns, axis=1)
-
-    def _at_nodes(self, footprint: Footprint, at: Index, components: tuple[int, ...]) -> Vector:
-        self.ensure(footprint.nodes)
-        self.ensure(at)
-        self._complete(footprint.nodes, at)
-        d, rows, places = self._d, self._d * self._slot[footprint.nodes], self._slot[at]
-        at_nodes = np.empty((len(components), len(at), d))
-        if len(at) == 0:
-            return at_nodes
-        low = int(places.min())
-        read, places = slice(d * low, d * (int(places.max()) + 1)), places - low
-        for number, a in enumerate(components):
-            # sums node by node: unlike a product it gives the same bits whatever is read
-            summed = np.einsum("k,kn->n", footprint.weights, self._blocks[rows + a, read])
-            at_nodes[number] = summed.reshape(-1, d)[places]
-        return at_nodes
-
-    def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:
-        """Return the static displacement of a footprint, (d,), under loads on kept nodes.
-
-        Parameters
-        ----------
-        loaded : ndarray of int, shape (l,)
-            Nodes, which may repeat.
-        loads : ndarray, shape (l, d)
-            Forces on them, N.
-        footprint : Footprint
-        """
-        return np.einsum(
-            "akb,kb->a", self._at_nodes(footprint, loaded, tuple(range(self._d))), loads
-        )
 
     def _unknowns(self, nodes: Index) -> Index:
         """Return the places of the components of nodes among the free unknowns, -1 if held."""

@@ -35,8 +35,8 @@ class DirectCompliance(NodalCompliance):
         """Do nothing."""
 
     def column(self, footprint: Footprint, at: Index, component: int) -> Vector:
-        """Return the displacement (k, d) of nodes per unit force component; one solve."""
-        return expand(self._model, self._unit(footprint, component))[at]
+        """Return the displacement (d, k) of nodes per unit force component; one solve."""
+        return expand(self._model, self._unit(footprint, component)).T.take(at, axis=1)
 
     def at_readers(self, footprint: Footprint) -> Vector:
         """Return the displacement at the readers, (r, d), after the columns without a solve."""
@@ -56,12 +56,6 @@ class DirectCompliance(NodalCompliance):
             loads = np.multiply.outer(footprint.weights, axis)[:, None, :]
             known[component] = self._solved(footprint.nodes, loads)[:, 0]
         return known[component]
-
-    def displacement(self, loaded: Index, loads: Vector, footprint: Footprint) -> Vector:
-        """Return the static displacement of a footprint, (d,), under loads; one solve."""
-        moved = self._solved(loaded, loads[:, None, :])
-        nodal = expand(self._model, moved[:, 0])
-        return np.asarray(footprint.weights @ nodal[footprint.nodes])
 
     def _solved(self, nodes: Index, loads: Vector) -> Vector:
         """Return the displacements (free, c) under c cases of forces, loads (l, c, d)."""

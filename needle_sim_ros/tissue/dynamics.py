@@ -13,10 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
-from needle_sim_ros.tissue.response import ModalPart, ResponseTable
+from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 
 class Prediction(Protocol):
@@ -60,7 +60,7 @@ class Dynamics(Protocol):
         table: ResponseTable,
         forces: Vector,
         change: Vector,
-        footprint: Footprint,
+        reading: Reading,
     ) -> Vector:
         """Return the displacement of a footprint in the step after a state, shape (d,).
 
@@ -118,10 +118,10 @@ class QuasiStatic:
         table: ResponseTable,
         forces: Vector,
         change: Vector,
-        footprint: Footprint,
+        reading: Reading,
     ) -> Vector:
         """Displacement of a footprint from the kept responses."""
-        return self.compliance.displacement(table.nodes, table.loads(forces), footprint)
+        return reading.displacement(forces)
 
     def at_readers(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers from the kept responses."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import skfem
@@ -43,6 +44,11 @@ class Lines:
 
     at: Vector
     drift: Vector
+
+    @cached_property
+    def straight(self) -> bool:
+        """Whether no line drifts."""
+        return not self.drift.any()
 
 
 @dataclass(frozen=True)
@@ -107,7 +113,9 @@ class TissueMesh:
             for axis, lines in enumerate(self.lateral)
         ]
         found.append(_interval(self.levels, points[:, -1]))
-        inside = np.logical_and.reduce([within for _, _, within in found])
+        inside = found[0][2]
+        for _, _, within in found[1:]:
+            inside = inside & within
         return [index for index, _, _ in found], [part for _, part, _ in found], inside
 
     def _widths(self, column: Index, layer: Index) -> tuple[Vector, Vector]:
@@ -118,18 +126,25 @@ class TissueMesh:
 
 
 def _interval(lines: Vector, values: Vector) -> tuple[Index, Vector, NDArray[np.bool_]]:
-    slack = 1e-9 * (lines[-1] - lines[0])
-    inside = (values >= lines[0] - slack) & (values <= lines[-1] + slack)
-    index = np.searchsorted(lines, values, side="right") - 1
-    index = np.minimum(np.maximum(index, 0), len(lines) - 2)
-    part = (values - lines[index]) / (lines[index + 1] - lines[index])
-    return index, np.minimum(np.maximum(part, 0.0), 1.0), inside
+    low, high = float(lines[0]), float(lines[-1])
+    slack = 1e-9 * (high - low)
+    inside = values >= low - slack
+    inside &= values <= high + slack
+    index = lines.searchsorted(values, side="right")
+    index -= 1
+    np.maximum(index, 0, out=index)
+    np.minimum(index, len(lines) - 2, out=index)
+    left = lines.take(index)
+    part = values - left
+    part /= lines[1:].take(index) - left
+    np.maximum(part, 0.0, out=part)
+    return index, np.minimum(part, 1.0, out=part), inside
 
 
 def _drifted_interval(
     lines: Lines, values: Vector, depth: Vector
 ) -> tuple[Index, Vector, NDArray[np.bool_]]:
-    if not lines.drift.any():
+    if lines.straight:
         return _interval(lines.at, values)
     at = lines.at[None, :] + lines.drift[None, :] * depth[:, None]
     slack = 1e-9 * (lines.at[-1] - lines.at[0])

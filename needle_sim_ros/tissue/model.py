@@ -122,18 +122,24 @@ class TissueModel:
             element = self.basis.elem
             shapes = [element.lbasis(local, i)[0] for i in range(len(self.basis.basis))]
             values = np.array([np.broadcast_to(v, len(points)) for v in shapes])
-        return self.basis.element_dofs[:, cells].T.astype(np.intp), values.T, within
+        nodes = self.basis.element_dofs.take(cells, axis=1)
+        return nodes.T.astype(np.intp, order="C"), values.T, within
 
     def _tensor_product(self, local: Vector) -> Vector:
         # Lagrange polynomials of each direction, multiplied as the element numbers its nodes
         quadratic = self._element == "quad2"
-        values = np.ones((len(self._local_nodes[0]), local.shape[1]))
-        for x, order in zip(local, self._local_nodes, strict=True):
-            if quadratic:
-                lines = np.array([(1 - x) * (1 - 2 * x), 4 * x * (1 - x), x * (2 * x - 1)])
-            else:
-                lines = np.array([1 - x, x])
-            values *= lines[order]
+        lines = np.empty((3 if quadratic else 2, *local.shape))
+        if quadratic:
+            np.multiply(1 - local, 1 - 2 * local, out=lines[0])
+            np.multiply(4 * local, 1 - local, out=lines[1])
+            np.multiply(local, 2 * local - 1, out=lines[2])
+        else:
+            np.subtract(1, local, out=lines[0])
+            lines[1] = local
+        first, *others = self._local_nodes
+        values = lines[:, 0].take(first, axis=0)
+        for axis, order in enumerate(others, 1):
+            values *= lines[:, axis].take(order, axis=0)
         return values
 
     @cached_property

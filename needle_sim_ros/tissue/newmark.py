@@ -14,11 +14,11 @@ import scipy.sparse as sp
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
 @dataclass(frozen=True)
@@ -182,10 +182,11 @@ class FullNewmark:
         table: ResponseTable,
         forces: Vector,
         change: Vector,
-        footprint: Footprint,
+        reading: Reading,
     ) -> Vector:
         """Displacement of a footprint: where it was, and what the change of forces does."""
-        moved = self.compliance.displacement(table.nodes, table.loads(change), footprint)
+        footprint = reading.footprint
+        moved = reading.displacement(change)
         moved += footprint.weights @ expand(self._model, state.u)[footprint.nodes]
         return np.asarray(moved)
 

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
+from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import NewmarkRule
-from needle_sim_ros.tissue.response import ModalPart, ResponseTable
+from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 
 class ModalMotion(NamedTuple):
@@ -36,13 +36,12 @@ class _Coefficients(NamedTuple):
     """A rule, linear in the state, as numbers.
 
     Modal displacement is ``carry`` of the old (u, v, a) plus the response to forces; the
-    rates are ``of_old`` of the old state plus ``of_new`` of the new displacement; the
-    filter takes ``filtered`` of itself and ``forces`` of the last forces.
+    new state is ``rates`` of the old one and the new displacement; the filter takes
+    ``filtered`` of itself and ``forces`` of the last forces.
     """
 
     carry: Vector
-    of_old: Vector
-    of_new: Vector
+    rates: Vector
     filtered: float
     forces: float
 
@@ -52,13 +51,14 @@ class ModalPrediction(NamedTuple):
 
     u: Vector
     filtered: Vector
-    flexibility: Vector
     rule: _Coefficients
 
     def rows(self, table: ResponseTable) -> Vector:
         """Return the displacement of the rows of a table, shape (n, d)."""
         filtered = _widened(self.filtered, table.count)
-        return _displacement(self.u, filtered, table, self.flexibility)
+        moved = table.residual() @ filtered.ravel()
+        moved += self.u @ table.modal()
+        return np.asarray(moved.reshape(filtered.shape))
 
 
 def lowest_modes(model: TissueModel, factor: Factor, count: int) -> tuple[Vector, Vector]:
@@ -79,12 +79,6 @@ def _widened(forces: Vector, count: int) -> Vector:
     wider = np.zeros((count, forces.shape[1]))
     wider[: len(forces)] = forces
     return wider
-
-
-def _displacement(u: Vector, filtered: Vector, table: ResponseTable, flexibility: Vector) -> Vector:
-    shapes, force = table.modal(), filtered.ravel()
-    modal = u - flexibility * (shapes @ force)
-    return np.asarray(table.static() @ force + modal @ shapes).reshape(filtered.shape)
 
 
 class ReducedNewmark:
@@ -119,8 +113,10 @@ class ReducedNewmark:
         )
         self._settling = self._coefficients(rule.settling(), 1.0 - self._share, 0.0)
         nodal = np.stack([expand(model, shape) for shape in shapes.T], axis=2)
-        self.modes = ModalPart(nodal, self._dynamic, self._flexibility, self._share)
-        self._read_shapes = compliance.reader_matrix @ shapes
+        self._read_shapes = np.asarray(compliance.reader_matrix @ shapes)
+        self.modes = ModalPart(
+            nodal, self._read_shapes, self._dynamic, self._flexibility, self._share
+        )
         self._shapes = shapes
 
     def _coefficients(self, rule: NewmarkRule, filtered: float, forces: float) -> _Coefficients:
@@ -133,7 +129,7 @@ class ReducedNewmark:
         of_old = np.array([[0.0] * 3, *np.array(kept)[:, :, 0].T])
         made = rule.rates(one, zero, zero, zero)
         of_new = np.array([[1.0], made[0], made[1]])
-        return _Coefficients(np.array(carry), of_old, of_new, filtered, forces)
+        return _Coefficients(np.array(carry), np.hstack([of_old, of_new]), filtered, forces)
 
     @property
     def settles(self) -> bool:
@@ -151,15 +147,17 @@ class ReducedNewmark:
         u = (rule.carry * state.modal).sum(axis=0)
         filtered = rule.filtered * state.filtered
         filtered += rule.forces * state.forces
-        return ModalPrediction(u, filtered, self._flexibility, rule)
+        return ModalPrediction(u, filtered, rule)
 
     def complete(
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
     ) -> ModalMotion:
         """Load the modes and the filter with the contact forces (Eqs. 2 and 3)."""
-        u = prediction.u + self._dynamic * (table.modal() @ forces.ravel())
-        modal = prediction.rule.of_old @ state.modal
-        modal += prediction.rule.of_new * u
+        whole = np.empty((4, len(prediction.u)))
+        whole[:3] = state.modal
+        np.multiply(self._dynamic, table.modal() @ forces.ravel(), out=whole[3])
+        whole[3] += prediction.u
+        modal = prediction.rule.rates @ whole
         filtered = self._share * forces + _widened(prediction.filtered, table.count)
         return ModalMotion(modal, filtered, forces)
 
@@ -174,21 +172,21 @@ class ReducedNewmark:
         table: ResponseTable,
         forces: Vector,
         change: Vector,
-        footprint: Footprint,
+        reading: Reading,
     ) -> Vector:
         """Displacement of a footprint: where it was, and what the change of forces does."""
         u = state.modal.copy()
         u[0] += self._dynamic * (table.modal() @ change.ravel())
         filtered = _widened(state.filtered, table.count) + self._share * change
         filtered, modal = self._modal(ModalMotion(u, filtered, forces), table)
-        static = self.compliance.displacement(table.nodes, table.loads(filtered), footprint)
-        return np.asarray(static + modal @ self.modes.at(footprint))
+        return np.asarray(reading.displacement(filtered) + modal @ reading.shape)
 
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""
-        filtered, modal = self._modal(state, table)
-        static = table.at_readers() @ filtered.ravel()
-        return np.asarray(static + self._read_shapes @ modal)
+        filtered = _widened(state.filtered, table.count)
+        moved = self._read_shapes @ state.modal[0]
+        moved += table.at_readers() @ filtered.ravel()
+        return np.asarray(moved)
 
     def everywhere(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of all nodes; one solve."""

@@ -16,6 +16,10 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.mesh import Index
 
+# components of a unit vector that are not zero, by number
+Axis = list[tuple[int, float]]
+Axes = tuple[Axis, ...]
+
 
 class _Store:
     """Arrays with room for rows; `length` rows are taken."""
@@ -23,22 +27,22 @@ class _Store:
     def __init__(self, readers: int, d: int, modes: int | None) -> None:
         self.length = 0
         self.d = d
-        self.static = np.zeros((0, 0))
-        self.between = self.static if modes is None else np.zeros((0, 0))
+        self.residual = np.zeros((0, 0))
+        self.between = self.residual if modes is None else np.zeros((0, 0))
         self.read = np.zeros((readers, 0))
         self.modal = np.zeros((modes or 0, 0))
 
     def with_room(self, count: int) -> _Store:
         """Return this store, or a wider or separate one that holds its first `count` rows."""
-        capacity = len(self.static) // self.d
+        capacity = len(self.residual) // self.d
         if self.length == count and count < capacity:
             return self
         size = self.d * (capacity if count < capacity else max(32, 2 * capacity))
         twin = _Store.__new__(_Store)
         twin.length, twin.d = count, self.d
-        twin.static = _padded(self.static, (size, size))
-        same = self.between is self.static
-        twin.between = twin.static if same else _padded(self.between, (size, size))
+        twin.residual = _padded(self.residual, (size, size))
+        same = self.between is self.residual
+        twin.between = twin.residual if same else _padded(self.between, (size, size))
         twin.read = _padded(self.read, (len(self.read), size))
         twin.modal = _padded(self.modal, (len(self.modal), size))
         return twin
@@ -65,6 +69,29 @@ class ResponseRow(NamedTuple):
     shape: Vector
 
 
+class Reading(NamedTuple):
+    """How a footprint moves under forces on the rows of a table, as far as it is known.
+
+    Attributes
+    ----------
+    footprint : Footprint
+    columns : tuple of ndarray, shape (n d,)
+        Static displacement of the rows per unit force on the footprint, m/N, component by
+        component; by Maxwell and Betti that of the footprint per force on the rows.
+    shape : ndarray, shape (modes, d)
+        Shapes of the modes at the footprint, known with the last column.
+    """
+
+    footprint: Footprint
+    columns: tuple[Vector, ...] = ()
+    shape: Vector = np.empty((0, 0))
+
+    def displacement(self, forces: Vector) -> Vector:
+        """Return the static displacement, (d,), m, by forces (k, d) on the first k rows, N."""
+        flat = forces.ravel()
+        return np.array([float(column[: len(flat)] @ flat) for column in self.columns])
+
+
 class ResponseTable:
     """Effective compliance between footprints and at the readers; immutable.
 
@@ -86,6 +113,8 @@ class ResponseTable:
         self.compliance = compliance
         self.modes = modes
         self.count = 0
+        self._axes: Axes | None = None
+        self._blocks: dict[tuple[int, int], Vector] = {}
         self._store = _Store(
             compliance.readers, compliance.dimension, None if modes is None else modes.count
         )
@@ -104,13 +133,41 @@ class ResponseTable:
         block = self._store.between[:wide, : forces.size]
         return np.asarray(block @ forces.ravel()).reshape(self.count, -1)
 
-    def static(self) -> Vector:
-        """Displacement of the rows per static force on them, (n d, n d), m/N."""
+    def along(self, axes: Axes, one: int, other: int) -> Vector:
+        """Displacement of the rows along an axis per force along another, (n, n), m/N.
+
+        Within a step, as :meth:`between`. What was asked for is kept while the axes are the
+        same: most needles do not turn.
+        """
+        if self._axes is not axes:
+            self._axes, self._blocks = axes, {}
+        block = self._blocks.get((one, other))
+        if block is None:
+            block = self._blocks[one, other] = self._along(axes[one], axes[other])
+        return block
+
+    def _along(self, one: Axis, other: Axis) -> Vector:
+        d, between, total = self.compliance.dimension, self.between(), None
+        for a, x in one:
+            for b, y in other:
+                part = between[a::d, b::d] * (x * y)
+                total = part if total is None else total + part
+        assert total is not None
+        return total
+
+    def residual(self) -> Vector:
+        """Displacement of the rows per static force on them, (n d, n d), m/N.
+
+        Without that of the modes, if any.
+        """
         size = self.compliance.dimension * self.count
-        return self._store.static[:size, :size]
+        return self._store.residual[:size, :size]
 
     def at_readers(self) -> Vector:
-        """Static displacement of the readers per force on the rows, (r, n d), m/N."""
+        """Static displacement of the readers per force on the rows, (r, n d), m/N.
+
+        Without that of the modes, if any.
+        """
         return self._store.read[:, : self.compliance.dimension * self.count]
 
     def modal(self) -> Vector:
@@ -122,9 +179,34 @@ class ResponseTable:
 
         Shape ((n + 1) d,), m/N: a part of :meth:`row`, which takes a tick's time as a whole.
         """
-        nodes, weights, starts = self._joined(footprint)
+        return self._moved(footprint, component, *self._joined(footprint))
+
+    def _moved(
+        self, footprint: Footprint, component: int, nodes: Index, weights: Vector, starts: Index
+    ) -> Vector:
+        """Return the displacement of rows, (n d,), per force component on a footprint, m/N."""
         moved = self.compliance.column(footprint, nodes, component)
-        return np.asarray(np.add.reduceat(moved * weights[:, None], starts, axis=0).ravel())
+        moved *= weights
+        return np.asarray(np.add.reduceat(moved, starts, axis=1).T.ravel())
+
+    def read(self, reading: Reading) -> Reading:
+        """Return a reading with one component more, and with the modes when it is the last."""
+        footprint, columns = reading.footprint, reading.columns
+        column = np.empty(0)
+        if self.count:
+            rows = self.nodes, self.weights, self.starts
+            column = self._moved(footprint, len(columns), *rows)
+        columns = (*columns, column)
+        if self.modes is None or len(columns) < self.compliance.dimension:
+            return Reading(footprint, columns)
+        return Reading(footprint, columns, self.modes.at(footprint))
+
+    def reading(self, footprint: Footprint) -> Reading:
+        """Return how a footprint moves under forces on the rows."""
+        reading = Reading(footprint)
+        for _ in range(self.compliance.dimension):
+            reading = self.read(reading)
+        return reading
 
     def row(self, footprint: Footprint, columns: tuple[Vector, ...] = ()) -> ResponseRow:
         """Return what another row would be; its first columns may be known."""
@@ -149,19 +231,26 @@ class ResponseTable:
         count, d = self.count, self.compliance.dimension
         twin = ResponseTable.__new__(ResponseTable)
         twin.compliance, twin.modes, twin.count = self.compliance, self.modes, count + 1
+        twin._axes, twin._blocks = None, {}
         twin._store = store = self._store.with_room(count)
         twin.nodes, twin.weights, twin.starts = row.nodes, row.weights, row.starts
         store.length = count + 1
         own, wide = slice(d * count, d * count + d), d * (count + 1)
-        store.static[:wide, own] = row.static
-        store.static[own, :wide] = row.static.T
-        store.read[:, own] = row.at_readers
-        if self.modes is not None:
+        residual, at_readers = row.static, row.at_readers
+        modes = self.modes
+        if modes is not None:
             store.modal[:, own] = row.shape
-            amended = store.modal[:, :wide].T @ (self.modes.amendment[:, None] * row.shape)
-            amended += self.modes.residual_share * row.static
+            shapes = store.modal[:, :wide]
+            moved = modes.static[:, None] * row.shape
+            residual = residual - shapes.T @ moved
+            at_readers = at_readers - modes.at_readers @ moved
+            amended = shapes.T @ (modes.dynamic[:, None] * row.shape)
+            amended += modes.residual_share * residual
             store.between[:wide, own] = amended
             store.between[own, :wide] = amended.T
+        store.residual[:wide, own] = residual
+        store.residual[own, :wide] = residual.T
+        store.read[:, own] = at_readers
         return twin
 
     def sample(self, field: Vector) -> Vector:
@@ -203,18 +292,26 @@ class ModalPart:
     Parameters
     ----------
     shapes : ndarray, shape (nodes, d, modes)
+    at_readers : ndarray, shape (r, modes)
+        Shapes at the readers.
     dynamic, static : ndarray, shape (modes,)
     residual_share : float
     """
 
     def __init__(
-        self, shapes: Vector, dynamic: Vector, static: Vector, residual_share: float
+        self,
+        shapes: Vector,
+        at_readers: Vector,
+        dynamic: Vector,
+        static: Vector,
+        residual_share: float,
     ) -> None:
-        self.shapes = shapes
+        self.shapes, self.at_readers = shapes, at_readers
         self.count = shapes.shape[2]
+        self.dynamic, self.static = dynamic, static
         self.residual_share = residual_share
-        self.amendment = dynamic - residual_share * static
 
     def at(self, footprint: Footprint) -> Vector:
         """Return the shapes at a footprint, (modes, d)."""
-        return np.einsum("k,kam->ma", footprint.weights, self.shapes[footprint.nodes])
+        nodes = self.shapes.take(footprint.nodes, axis=0)
+        return (footprint.weights @ nodes.reshape(len(nodes), -1)).reshape(-1, self.count).T

@@ -40,7 +40,7 @@ def track(layer):
 
 
 def extended(layer, track, heading):
-    return layer.extend(layer.ask(layer.spread(layer.aim(track, heading))))
+    return layer.extend(layer.ask(layer.gather(layer.spread(layer.aim(track, heading)))))
 
 
 # each heading turns the last segment, laid as it was foreseen, and the next point follows it

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needle_sim_ros.needle.beam import flexibility, own_deflection, slope_flexibility
+from needle_sim_ros.needle.beam import flexibility, slope_flexibility
 
 LENGTH, RIGIDITY = 0.13, 2.1e9 * 0.7854e-12
 ARCLENGTHS = st.lists(st.floats(1e-4, 0.2), min_size=1, max_size=12).map(np.array)
@@ -132,14 +132,3 @@ def test_equation_6_as_printed_is_not_a_beam(count):
     units = [printed_equation_6(nodes, unit, RIGIDITY) for unit in np.eye(count)]
     matrix = np.array(units).T
     assert np.abs(matrix - matrix.T).max() > 0.05 * matrix.max()
-
-
-@given(ARCLENGTHS, st.integers(0, 2**32 - 1))
-def test_own_deflection_is_flexibility_times_forces(arclengths, seed):
-    """The same sums in another order, for two axes at once."""
-    arclengths = np.sort(arclengths)
-    forces = np.random.default_rng(seed).normal(size=(2, len(arclengths)))
-    matrix = flexibility(arclengths, arclengths, RIGIDITY)
-    found = own_deflection(arclengths, forces, RIGIDITY)
-    scale = (np.abs(forces) @ matrix).max()
-    np.testing.assert_allclose(found, forces @ matrix, atol=1e-12 * scale)

@@ -165,6 +165,6 @@ def test_displacement_of_a_footprint(compliance, footprints, model, factor):
     full = np.zeros(2 * model.nodes)
     full[model.free] = factor.solve(loads.ravel()[model.free])
     place = Footprint(np.array([0, 17, 200, 800]), np.array([0.3, -1.0, 0.5, 2.0]))
-    found = table.compliance.displacement(table.nodes, table.loads(forces), place)
+    found = table.reading(place).displacement(forces)
     expected = place.weights @ full.reshape(-1, 2)[place.nodes]
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(full).max())
