@@ -100,7 +100,9 @@ def execute(args: argparse.Namespace) -> int:
     simulator = prepared(scene)
     preparation = time.perf_counter() - preparing
     with progress(len(ticks), f"replaying {scene.name}") as bar:
-        done = replay(session.metadata, simulator, ticks, bar.update)
+        done = replay(
+            session.metadata, simulator, ticks, bar.update, messages=args.output is not None
+        )
     differences, compared = compare(session.series, done.series)
     took = time.perf_counter() - begin - preparation
     _check_reached(session, done)
