@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needle_sim_ros.session.channels import tip_orientation
-from needle_sim_ros.session.series import Series
+from needle_sim_ros.session.series import Array, Series
 
 if TYPE_CHECKING:
     from needle_sim_ros.observation import Observation
@@ -32,7 +32,7 @@ class Collector:
     def __init__(self, count: int, markers: int) -> None:
         self._times: list[int] = []
         self._process: list[str] = []
-        self._rows = {name: np.zeros((count, 3)) for name in _VECTORS}
+        self._rows: dict[str, Array] = {name: np.zeros((count, 3)) for name in _VECTORS}
         self._rows |= {name: np.zeros((count, 4)) for name in ("tip_orientation", "orientation")}
         self._rows |= {name: np.zeros(count) for name in _SCALARS}
         # as wide as they are published and recorded
