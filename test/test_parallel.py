@@ -2,6 +2,7 @@
 """Work on processes: results, errors, one thread of linear algebra, Dask."""
 
 import os
+import time
 
 import pytest
 
@@ -33,14 +34,22 @@ def test_no_workers_are_refused():
         pass
 
 
-def test_a_dask_cluster_is_an_executor_too():
-    distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
-    with (
-        distributed.LocalCluster(processes=False, **options) as cluster,
-        executor(dask=cluster.scheduler_address) as pool,
-    ):
+def running_together(seconds):
+    """Return when this task began and ended."""
+    begin = time.monotonic()
+    time.sleep(seconds)
+    return begin, time.monotonic()
+
+
+def test_a_dask_cluster_runs_one_task_a_process_at_a_time(dask_address):
+    """What a process keeps is not for two threads, and a worker has as many as it likes."""
+    with executor(dask=dask_address) as pool:
         assert list(pool.map(abs, [-1, 2, -3])) == [1, 2, 3]
+        assert pool.submit(os.getpid).result() != os.getpid()
+        (begin, end), (other_begin, other_end) = pool.map(running_together, [0.05, 0.05])
+        assert end <= other_begin or other_end <= begin
+        with pytest.raises(SceneError, match="no_such_scene"):
+            pool.submit(find_scene, "no_such_scene").result()
 
 
 def test_an_address_without_scheduler_is_one_clear_message():

@@ -48,7 +48,7 @@ def plan(
 
     In 2D they are spread over the middle of the tissue, and the entry may vary. In 3D they
     are where insertions with random rolls, second turns and depths end in the scene's own
-    model, in the undeformed tissue; roll and second turn may vary, and every plan is verified
+    model, its mesh as fine to all sides, in the undeformed tissue; roll and second turn may vary, and every plan is verified
     and corrected in the scene's own model.
 
     Parameters
@@ -134,8 +134,11 @@ class _Spatial:
     """Where a bevel gets to; one mesh for all."""
 
     def __init__(self, scene: Scene) -> None:
-        self._scene, self._simulator = scene, Simulator(scene)
         self._planner = Planner.all_round(scene, Insertion.of(scene))
+        # as fine as the scene's own mesh, to whatever side a bevel leads
+        self._simulator = Simulator(
+            scene.with_changes({"tissue.mesh.band": self._planner.reach, "markers": []})
+        )
 
     def row(self, generator: np.random.Generator, verified: bool) -> Row:
         task = _spatial_task(self._simulator, generator)

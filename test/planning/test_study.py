@@ -83,6 +83,14 @@ def test_an_interrupted_study_resumes(study, tmp_path):
     assert path.read_bytes() == before
 
 
+def test_a_study_on_a_dask_cluster_writes_the_same_file(study, tmp_path, dask_address):
+    here, there = tmp_path / "here.jsonl", tmp_path / "there.jsonl"
+    run(study, 6, here)
+    with executor(dask=dask_address) as pool:
+        run_study(study, 6, pool, there)
+    assert here.read_bytes() == there.read_bytes()
+
+
 def test_files_of_others_are_refused_and_kept(study, tmp_path):
     path = tmp_path / "study.jsonl"
     other = {"needle_sim_study": 1, "of": "another"}
