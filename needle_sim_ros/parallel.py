@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
@@ -168,8 +169,24 @@ def _dask(address: str) -> Iterator[Executor]:
         words = " ".join(str(error).split())
         raise NeedleSimError(f"no Dask scheduler at {address}: {words}") from error
     try:
+        _check_cluster(client, address)
         found = _OneAtATime(client.get_executor(pure=False))
         yield found
         found.shutdown(wait=True)
     finally:
         client.close()
+
+
+def _check_cluster(client: Any, address: str) -> None:
+    """Refuse a cluster on which tasks would wait for ever: what cannot be read is not answered."""
+    package = __name__.partition(".")[0]
+    workers = client.run(find_spec, package)  # of the standard library: anybody can read it
+    if not workers:
+        raise NeedleSimError(f"the Dask cluster at {address} has no workers")
+    without = [worker for worker, spec in workers.items() if spec is None]
+    if client.run_on_scheduler(find_spec, package) is None:
+        without.append("its scheduler")
+    if without:
+        raise NeedleSimError(
+            f"the Dask cluster at {address} lacks the package {package} on {', '.join(without)}"
+        )

@@ -48,8 +48,8 @@ def plan(
 
     In 2D they are spread over the middle of the tissue, and the entry may vary. In 3D they
     are where insertions with random rolls, second turns and depths end in the scene's own
-    model, its mesh as fine to all sides, in the undeformed tissue; roll and second turn may vary, and every plan is verified
-    and corrected in the scene's own model.
+    model, its mesh as fine to all sides, in the undeformed tissue; roll and second turn may
+    vary, and every plan is verified and corrected in the scene's own model.
 
     Parameters
     ----------

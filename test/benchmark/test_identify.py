@@ -13,7 +13,7 @@ SHORT = [
     {"duration": 1.0},
     {"duration": 2.0, "velocity": [0, 0, 5e-3]},
 ]
-DRAWS = 6
+DRAWS = 4
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +21,8 @@ def result(coarse_scene):
     scene = coarse_scene({"markers": [[-0.003, 0.0, -0.01], [-0.01, 0.0, -0.02]]})
     steps = []
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_TICK", 0.2)
+        patch.setattr(module, "DEFAULT", ("youngs_modulus", "friction.kinetic", "cutting.force"))
         patch.setattr(module, "_SESSION", SHORT)
         patch.setattr(module, "_HELD_OUT", SHORT[:1])
         patch.setattr(module, "_QUICK_DRAWS", DRAWS)
@@ -46,7 +48,7 @@ def test_errors_are_those_of_the_draws(result):
     """What the fits of the draws spread by is what each says of itself."""
     for row in result.table:
         assert row["draws"] == DRAWS
-        assert 0.3 < row["spread of draws"] / row["standard error"] < 2.5
+        assert 0.1 < row["spread of draws"] / row["standard error"] < 3
         short = row["parameter"].replace(".", "_")
         assert result.figures[f"{short}_inside_95"] == row["inside"] / DRAWS
         relative = abs(row["fitted"] / row["truth"] - 1)
