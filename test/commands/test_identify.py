@@ -76,18 +76,16 @@ def test_replay_compares_with_what_was_measured(tmp_path, capsys):
     assert main(["plot", str(tmp_path / "both"), "--output", str(tmp_path / "x.svg")]) == 2
 
 
-def test_two_bags_are_fitted_on_a_dask_cluster_as_here(tmp_path, dask_address):
-    """To the last bit: one parameter, few ticks."""
-    found = []
-    for where in (["--workers", "1"], ["--dask", dask_address]):
-        out = tmp_path / "fit.json"
-        options = ["--parameters", "cutting.force", "--rate", "2", "--json", str(out)]
-        assert main(["identify", PHANTOM[0], *PHANTOM, *SCENE, *options, *where]) == 0
-        found.append(json.loads(out.read_text()))
-    here, there = found
-    assert here["parameters"] == there["parameters"]
-    assert len(there["bags"]) == 2
-    assert there["parameters"]["cutting.force"]["value"] == pytest.approx(0.38, rel=0.25)
+def test_two_bags_are_fitted_on_a_dask_cluster(tmp_path, dask_address):
+    """All but one parameter at the truth; few ticks."""
+    out, known = tmp_path / "fit.json", {"tissue.youngs_modulus": 18e3}
+    known |= {"interaction.friction.kinetic": 17.0}
+    options = [part for k, v in known.items() for part in ("--set", f"{k}={v}")]
+    options += ["--parameters", "cutting.force", "--rate", "2", "--json", str(out)]
+    assert main(["identify", PHANTOM[0], *PHANTOM, *SCENE, *options, "--dask", dask_address]) == 0
+    found = json.loads(out.read_text())
+    assert len(found["bags"]) == 2
+    assert found["parameters"]["cutting.force"]["value"] == pytest.approx(0.38, rel=0.1)
 
 
 @pytest.mark.parametrize(
