@@ -103,3 +103,18 @@ def test_bad_input_is_one_message_and_status_2(options, message, capsys):
     assert main(["identify", *PHANTOM, *SCENE, "--workers", "1", *options]) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1
+
+
+def test_a_bag_of_others_is_replayed_only_with_its_topics_named(capsys):
+    assert main(["replay", PHANTOM[0], *SCENE]) == 2
+    said = capsys.readouterr().err
+    assert "no command topic" in said and "/robot/ee_pose" in said and said.count("\n") == 1
+
+
+def test_a_scene_that_does_not_fit_the_commands_is_said(tmp_path, capsys):
+    """Metres above the tissue, by the transform of the robot's frame."""
+    mapping = Path(PHANTOM[2]).read_text().replace("-0.35]", "2.35]")
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(mapping)
+    assert main(["replay", PHANTOM[0], "--mapping", str(wrong), *SCENE]) == 2
+    assert "the needle never reaches the tissue" in capsys.readouterr().err.splitlines()[-1]
