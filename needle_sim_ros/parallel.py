@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
@@ -46,6 +47,28 @@ class SerialExecutor(Executor):
         return future
 
 
+# tasks of one process share what it keeps, and a factorised tissue is not for two threads
+_process = threading.Lock()
+
+
+class _OneAtATime(Executor):
+    """Hands tasks to an executor whose workers may have several threads: one runs at a time."""
+
+    def __init__(self, inner: Executor) -> None:
+        self._inner = inner
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        return self._inner.submit(_alone, fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._inner.shutdown(wait=wait)
+
+
+def _alone(fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
+    with _process:
+        return fn(*args, **kwargs)
+
+
 @contextmanager
 def executor(workers: int | None = None, dask: str | None = None) -> Iterator[Executor]:
     """Give an executor for the time of a ``with`` block.
@@ -57,7 +80,8 @@ def executor(workers: int | None = None, dask: str | None = None) -> Iterator[Ex
         that this process may use. 1 means no other process at all.
     dask : str, optional
         Address of a Dask scheduler, e.g. ``tcp://host:8786``; its workers must have this
-        package. `workers` is then not used.
+        package, and run one task a process at a time, whatever their threads. `workers` is
+        then not used.
 
     Yields
     ------
@@ -145,8 +169,24 @@ def _dask(address: str) -> Iterator[Executor]:
         words = " ".join(str(error).split())
         raise NeedleSimError(f"no Dask scheduler at {address}: {words}") from error
     try:
-        found: Executor = client.get_executor(pure=False)
+        _check_cluster(client, address)
+        found = _OneAtATime(client.get_executor(pure=False))
         yield found
         found.shutdown(wait=True)
     finally:
         client.close()
+
+
+def _check_cluster(client: Any, address: str) -> None:
+    """Refuse a cluster on which tasks would wait for ever: what cannot be read is not answered."""
+    package = __name__.partition(".")[0]
+    workers = client.run(find_spec, package)  # of the standard library: anybody can read it
+    if not workers:
+        raise NeedleSimError(f"the Dask cluster at {address} has no workers")
+    without = [worker for worker, spec in workers.items() if spec is None]
+    if client.run_on_scheduler(find_spec, package) is None:
+        without.append("its scheduler")
+    if without:
+        raise NeedleSimError(
+            f"the Dask cluster at {address} lacks the package {package} on {', '.join(without)}"
+        )

@@ -82,3 +82,13 @@ def protocol(coarse_scene, drive):
         "hold": drive(sim, 6.0),
         "out": drive(sim, 55 / 3, (0, 0, 3e-3)),
     }
+
+
+@pytest.fixture(scope="session")
+def dask_address():
+    """Address of a Dask scheduler with one worker, a process of two threads."""
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 1, "threads_per_worker": 2, "dashboard_address": None}
+    with distributed.LocalCluster(processes=True, **options) as cluster:
+        assert cluster.scheduler_address.startswith("tcp://")
+        yield cluster.scheduler_address

@@ -2,6 +2,7 @@
 """Work on processes: results, errors, one thread of linear algebra, Dask."""
 
 import os
+import time
 
 import pytest
 
@@ -33,18 +34,37 @@ def test_no_workers_are_refused():
         pass
 
 
-def test_a_dask_cluster_is_an_executor_too():
-    distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
-    with (
-        distributed.LocalCluster(processes=False, **options) as cluster,
-        executor(dask=cluster.scheduler_address) as pool,
-    ):
+def test_a_dask_cluster_runs_one_task_a_process_at_a_time(dask_address):
+    """What a process keeps is not for two threads, and a worker has as many as it likes."""
+
+    def running(seconds):  # sent as it is: the worker does not know this file
+        begin = time.monotonic()
+        time.sleep(seconds)
+        return begin, time.monotonic()
+
+    with executor(dask=dask_address) as pool:
         assert list(pool.map(abs, [-1, 2, -3])) == [1, 2, 3]
+        assert pool.submit(os.getpid).result() != os.getpid()
+        (begin, end), (other_begin, other_end) = pool.map(running, [0.05, 0.05])
+        assert end <= other_begin or other_end <= begin
+        with pytest.raises(SceneError, match="no_such_scene"):
+            pool.submit(find_scene, "no_such_scene").result()
 
 
 def test_an_address_without_scheduler_is_one_clear_message():
     pytest.importorskip("distributed")
     message = "no Dask scheduler at nonsense"
     with pytest.raises(NeedleSimError, match=message), executor(dask="nonsense://here"):
+        pass
+
+
+def test_a_cluster_that_cannot_work_is_refused():
+    """Tasks for it would wait without end."""
+    distributed = pytest.importorskip("distributed")
+    options = {"processes": False, "dashboard_address": None, "protocol": "tcp://"}
+    with (
+        distributed.LocalCluster(n_workers=0, **options) as cluster,
+        pytest.raises(NeedleSimError, match="has no workers"),
+        executor(dask=cluster.scheduler_address),
+    ):
         pass

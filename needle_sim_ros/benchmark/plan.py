@@ -3,21 +3,27 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from needle_sim_ros.benchmark.result import BenchmarkResult, Row
 from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.plain import plain
 from needle_sim_ros.planning.corrected import plan_verified
 from needle_sim_ros.planning.insertion import Insertion
 from needle_sim_ros.planning.planner import Plan, Planner
 from needle_sim_ros.planning.task import TOLERANCE, Task
 from needle_sim_ros.planning.verify import protocol_scene, verify
 from needle_sim_ros.protocol import protocol_commands
+from needle_sim_ros.results_file import ResultsFile
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
 
@@ -31,13 +37,19 @@ _TIME = {2: 2.0, 3: 30.0}
 _SEED = 6
 
 
-def plan(scene: Scene, quick: bool = False, progress: Progress | None = None) -> BenchmarkResult:
+def plan(
+    scene: Scene,
+    quick: bool = False,
+    progress: Progress | None = None,
+    targets: int | None = None,
+    results: Path | None = None,
+) -> BenchmarkResult:
     """Plan for random targets that can be reached.
 
     In 2D they are spread over the middle of the tissue, and the entry may vary. In 3D they
     are where insertions with random rolls, second turns and depths end in the scene's own
-    model, in the undeformed tissue; roll and second turn may vary, and every plan is verified
-    and corrected in the scene's own model.
+    model, its mesh as fine to all sides, in the undeformed tissue; roll and second turn may
+    vary, and every plan is verified and corrected in the scene's own model.
 
     Parameters
     ----------
@@ -46,6 +58,11 @@ def plan(scene: Scene, quick: bool = False, progress: Progress | None = None) ->
         A tenth of the targets.
     progress : callable, optional
         Called with (done, total) targets.
+    targets : int, optional
+        How many; the first ones are the same whatever the number.
+    results : Path, optional
+        Every target is written to this file when it is done; those that are in it from
+        before are not planned for again.
 
     Returns
     -------
@@ -54,37 +71,86 @@ def plan(scene: Scene, quick: bool = False, progress: Progress | None = None) ->
         within ``time_limit_s``, the preparation of the planning tissue not included, in 3D
         the runs of the full model included. Times are processor time of this process: of
         one core, whatever else the machine does.
+
+    Raises
+    ------
+    NeedleSimError
+        When the file holds results of another kind, version or scene.
     """
-    count = _QUICK_TARGETS if quick else _TARGETS
+    count = targets or (_QUICK_TARGETS if quick else _TARGETS)
     verified = _QUICK_VERIFIED if quick else _VERIFIED
-    generator = np.random.default_rng(_SEED)
-    shared = Planner.all_round(scene, Insertion.of(scene)) if scene.dimension == 3 else None
-    rows: list[Row] = []
-    for number in range(count):
-        if shared is None:
-            task = _planar_task(scene, generator)
-            began = time.process_time()
-            planner = Planner.towards(scene, task)
-            setup = time.process_time() - began
-        else:
-            planner, task, setup = shared, _spatial_task(scene, generator), 0.0
-        began = time.process_time()
-        found, full, reachable = planner.plan(task), None, None
-        searched = time.process_time() - began
-        if shared is not None:
-            checked = plan_verified(planner, task, found)
-            found, full, reachable = checked.plan, checked.verified.miss, checked.reachable
-        seconds = time.process_time() - began
-        if shared is None and number < verified:
-            full = verify(protocol_scene(scene, found.insertion, task.target)).miss
-        row = _row(task, found, setup, seconds, full)
-        row["search_s"] = searched
-        if reachable is not None:
-            row["reachable"] = reachable
-        rows.append(row)
+    file = None if results is None else _opened(results, scene, verified)
+    rows = [] if file is None else file.entries[:count]
+    case: _Case | None = None
+    for number in range(len(rows), count):
         if progress is not None:
-            progress(number + 1, count)
+            progress(number, count)
+        if case is None:
+            case = (_Spatial if scene.dimension == 3 else _Planar)(scene)
+        row = case.row(np.random.default_rng([_SEED, number]), number < verified)
+        if file is not None:
+            file.append(row)
+        rows.append(row)
+    if progress is not None:
+        progress(count, count)
     return BenchmarkResult("plan", scene.name, _figures(scene, rows), rows)
+
+
+def _opened(path: Path, scene: Scene, verified: int) -> ResultsFile:
+    text = json.dumps(plain([scene.to_dict(), verified]), sort_keys=True)
+    of = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return ResultsFile(path, "plan_benchmark", 1, of, "scene, or with --quick")
+
+
+class _Case(Protocol):
+    """Targets of one dimension."""
+
+    def row(self, generator: np.random.Generator, verified: bool) -> Row:
+        """Draw a target, plan for it, and say how that went."""
+
+
+class _Planar:
+    """In the middle of the tissue, each with a mesh about its plain aim."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    def row(self, generator: np.random.Generator, verified: bool) -> Row:
+        task = _planar_task(self._scene, generator)
+        began = time.process_time()
+        planner = Planner.towards(self._scene, task)
+        setup = time.process_time() - began
+        began = time.process_time()
+        found = planner.plan(task)
+        seconds = time.process_time() - began
+        row = _row(task, found, setup, seconds, seconds)
+        if verified:
+            planned = protocol_scene(self._scene, found.insertion, task.target)
+            row["full_model_miss_mm"] = 1e3 * verify(planned).miss
+        return row
+
+
+class _Spatial:
+    """Where a bevel gets to; one mesh for all."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._planner = Planner.all_round(scene, Insertion.of(scene))
+        # as fine as the scene's own mesh, to whatever side a bevel leads
+        self._simulator = Simulator(
+            scene.with_changes({"tissue.mesh.band": self._planner.reach, "markers": []})
+        )
+
+    def row(self, generator: np.random.Generator, verified: bool) -> Row:
+        task = _spatial_task(self._simulator, generator)
+        began = time.process_time()
+        found = self._planner.plan(task)
+        searched = time.process_time() - began
+        checked = plan_verified(self._planner, task, found)
+        seconds = time.process_time() - began
+        row = _row(task, checked.plan, 0.0, searched, seconds)
+        row["full_model_miss_mm"] = 1e3 * checked.verified.miss
+        row["reachable"], row["corrections"] = checked.reachable, checked.corrections
+        return row
 
 
 def _planar_task(scene: Scene, generator: np.random.Generator) -> Task:
@@ -94,7 +160,8 @@ def _planar_task(scene: Scene, generator: np.random.Generator) -> Task:
     return Task((float(x), 0.0, float(z)), ("entry",), tolerance=TOLERANCE[2])
 
 
-def _spatial_task(scene: Scene, generator: np.random.Generator) -> Task:
+def _spatial_task(model: Simulator, generator: np.random.Generator) -> Task:
+    scene = model.scene
     straight = Insertion.of(scene)
     while True:
         travel = float(generator.uniform(0.5, 0.95)) * straight.travel
@@ -106,7 +173,7 @@ def _spatial_task(scene: Scene, generator: np.random.Generator) -> Task:
             travel=travel,
         )
         made, step = insertion.scene_of(scene), scene.solver.time_step
-        simulator = Simulator(made)
+        simulator = model.variant(made)
         try:
             for command in protocol_commands(made.protocol, step):
                 seen = simulator.step(command, step)
@@ -116,18 +183,19 @@ def _spatial_task(scene: Scene, generator: np.random.Generator) -> Task:
         return Task((x, y, z), ("roll", "schedule"), tolerance=TOLERANCE[3])
 
 
-def _row(task: Task, found: Plan, setup: float, seconds: float, full: float | None) -> Row:
+def _row(task: Task, found: Plan, setup: float, searched: float, seconds: float) -> Row:
     x, y, z = (1e3 * value for value in task.target)
     return {
         "x_mm": x,
         "y_mm": y,
         "z_mm": z,
         "setup_s": setup,
+        "search_s": searched,
         "plan_s": seconds,
         "rollouts": found.rollouts,
         "miss_mm": 1e3 * found.outcome.miss,
         "plain_aim_miss_mm": 1e3 * found.plain.miss,
-        "full_model_miss_mm": None if full is None else 1e3 * full,
+        "full_model_miss_mm": None,
         "reachable": found.reachable,
     }
 

@@ -2,8 +2,8 @@
 """How many "what if" a planner gets: rollouts and branches per second, in times real time.
 
 Rollouts of several depths and ticks of the scene's own simulator take turns in one run.
-Times are processor time, of one core whatever else the machine does; only the scaling over
-processes is by the clock on the wall.
+Times are processor time, of one core whatever else the machine does; the scaling over
+processes is by the clock on the wall too.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import ExitStack
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from needle_sim_ros.parallel import available_cores, executor
 from needle_sim_ros.planning.insertion import Insertion
 from needle_sim_ros.planning.quick import QuickSimulator, planning_scene
 from needle_sim_ros.planning.rollout import roll_out
-from needle_sim_ros.planning.work import Trial, run_trials, side_by_side
+from needle_sim_ros.planning.work import Trial, run_trials
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
 
@@ -31,7 +32,8 @@ _PARTS = (1 / 3, 2 / 3, 1.0)  # of the planned depth
 _ROUNDS, _QUICK_ROUNDS = 20, 5
 _TICKS = 50  # of the scene's own simulator, each round
 _BRANCHES = 40
-_TRIALS = 24
+_TRIALS, _TOGETHER = 24, 2  # rollouts of a turn, and of a task
+_TURNS = 5
 _MOST_CALLS = 200
 
 
@@ -169,42 +171,62 @@ def _branches(simulator: QuickSimulator, whole: Insertion) -> float:
     return 1 / float(np.median(seconds))
 
 
-def _prepared(scene: Scene, trials: list[Trial]) -> int:
-    run_trials(scene, trials)
-    return os.getpid()
+def _timed(scene: Scene, trials: list[Trial]) -> tuple[int, int, float]:
+    """Roll trials out in a worker; return its process, how many, and its processor time, s."""
+    began = time.process_time()
+    done = len(run_trials(scene, trials))
+    return os.getpid(), done, time.process_time() - began
 
 
 def _warm_up(scene: Scene, trials: list[Trial], pool: Executor, count: int) -> None:
     """Have every worker prepare the tissue; an idle one may take several tasks meanwhile."""
     ready: set[int] = set()
     for _ in range(_MOST_CALLS):
-        calls = [pool.submit(_prepared, scene, trials) for _ in range(count)]
-        ready |= {call.result() for call in calls}
+        calls = [pool.submit(_timed, scene, trials) for _ in range(count)]
+        ready |= {call.result()[0] for call in calls}
         if len(ready) == count:
             return
 
 
 def _scaling(simulator: QuickSimulator, whole: Insertion, result: BenchmarkResult) -> list[Row]:
-    """Time the same trials on growing numbers of processes, each prepared before."""
+    """Time the same trials on growing numbers of prepared processes, in turns.
+
+    What the workers' clocks say of a loaded machine is how loaded it is. What a rollout takes
+    of a processor with so many of them at work is what they cost each other.
+    """
     scene, trials = simulator.scene, [Trial(whole)] * _TRIALS
-    rows: list[Row] = []
-    run_trials(scene, trials[:1])
     workers = [1]
     while 2 * workers[-1] <= available_cores():
         workers.append(2 * workers[-1])
-    for count in workers:
-        with executor(count) as pool:
+    walls: dict[int, list[float]] = {count: [] for count in workers}
+    spent: dict[int, list[float]] = {count: [] for count in workers}
+    with ExitStack() as stack:
+        pools = {count: stack.enter_context(executor(count)) for count in workers}
+        for count, pool in pools.items():
             _warm_up(scene, trials[:1], pool, count)
-            began = time.perf_counter()
-            done = sum(1 for _ in side_by_side(scene, trials, pool, 2))
-            wall = time.perf_counter() - began
+        for _ in range(_TURNS):
+            for count, pool in pools.items():
+                began = time.perf_counter()
+                calls = [
+                    pool.submit(_timed, scene, trials[k : k + _TOGETHER])
+                    for k in range(0, _TRIALS, _TOGETHER)
+                ]
+                answers = [call.result() for call in calls]
+                walls[count].append((time.perf_counter() - began) / _TRIALS)
+                spent[count].append(sum(seconds for *_, seconds in answers) / _TRIALS)
+    rows: list[Row] = []
+    for count in workers:
+        alone, together = np.array(spent[1]), np.array(spent[count])
         rows.append(
             {
-                "section": "rollouts to full depth side by side, one process a worker",
+                "section": "rollouts to full depth side by side, one process a worker; in turns",
                 "workers": count,
-                "rollouts_per_s": done / wall,
-                "speed_up": done / wall / (rows[0]["rollouts_per_s"] if rows else done / wall),
+                "rollouts_per_s": 1 / float(np.median(walls[count])),
+                "speed_up": float(np.median(np.array(walls[1]) / walls[count])),
+                "processor_ms": 1e3 * float(np.median(together)),
+                "speed_up_by_processor": count * float(np.median(alone / together)),
             }
         )
     result.figures["speed_up_all_cores"] = rows[-1]["speed_up"]
+    result.figures["speed_up_by_processor"] = rows[-1]["speed_up_by_processor"]
     return rows

@@ -86,6 +86,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="print the fastest settings with at most this error, e.g. 1%%",
     )
 
+    plan = parser.add_argument_group("plan")
+    plan.add_argument("--targets", metavar="N", type=int, help="how many (default: 100, quick 10)")
+    plan.add_argument(
+        "--results",
+        metavar="FILE",
+        type=Path,
+        help="write each target's result when it is there; go on after those that stand in it",
+    )
     soak = parser.add_argument_group("soak")
     soak.add_argument(
         "--minutes",
@@ -149,6 +157,11 @@ def _check_options(args: argparse.Namespace) -> None:
     given = [name for name in ("plot", "budget", "error") if getattr(args, name) is not None]
     if given and args.benchmark != "accuracy":
         raise NeedleSimError(f"--{given[0]}: only benchmark accuracy has it")
+    given = [name for name in ("targets", "results") if getattr(args, name) is not None]
+    if given and args.benchmark != "plan":
+        raise NeedleSimError(f"--{given[0]}: only benchmark plan has it")
+    if args.targets is not None and args.targets < 1:
+        raise NeedleSimError(f"--targets {args.targets}: must be at least 1")
     if args.minutes is not None and args.benchmark != "soak":
         raise NeedleSimError("--minutes: only benchmark soak has it")
     check_picture(args.plot)
@@ -186,6 +199,8 @@ def _recommend(result: BenchmarkResult, args: argparse.Namespace) -> int:
 def _more(args: argparse.Namespace) -> dict[str, Any]:
     """Return what a benchmark measures the node with, where ROS is installed."""
     more: dict[str, Any] = {"minutes": args.minutes} if args.benchmark == "soak" else {}
+    if args.benchmark == "plan":
+        more = {"targets": args.targets, "results": args.results}
     if args.benchmark in _NODE and find_spec("rclpy") is not None:
         module, function = _NODE[args.benchmark]
         more["node"] = getattr(import_module(module), function)

@@ -30,6 +30,7 @@ from needle_sim_ros.errors import SessionError
 if TYPE_CHECKING:
     from needle_sim_ros.scene import Scene
     from needle_sim_ros.session.compare import Difference
+    from needle_sim_ros.session.content import Content
     from needle_sim_ros.session.reader import Session
     from needle_sim_ros.session.replay import Replay
 
@@ -92,6 +93,7 @@ def execute(args: argparse.Namespace) -> int:
     content = read_contents(files)
     if is_imported(content):  # what stands in it was measured, not simulated
         return replay_measured(args)
+    _check_ours(args.bag, content)
     tolerances = read_tolerances(args.tolerance)
     session = session_of(bag_path(files), content)
     ticks = replay_ticks(session)
@@ -100,7 +102,9 @@ def execute(args: argparse.Namespace) -> int:
     simulator = prepared(scene)
     preparation = time.perf_counter() - preparing
     with progress(len(ticks), f"replaying {scene.name}") as bar:
-        done = replay(session.metadata, simulator, ticks, bar.update)
+        done = replay(
+            session.metadata, simulator, ticks, bar.update, messages=args.output is not None
+        )
     differences, compared = compare(session.series, done.series)
     took = time.perf_counter() - begin - preparation
     _check_reached(session, done)
@@ -142,6 +146,18 @@ def execute(args: argparse.Namespace) -> int:
         },
     )
     return 1 if bad or not compared else 0
+
+
+def _check_ours(bag: Path, content: Content) -> None:
+    """Refuse a whole bag of others, and say how it can be replayed."""
+    from needle_sim_ros.session.writer import ABOUT
+
+    if content.messages and content.damage is None and ABOUT not in content.metadata:
+        topics = sorted({channel.topic for channel in content.channels.values()})
+        raise SessionError(
+            f"{bag}: no command topic: it is no session of needle_sim, so say which topic moves"
+            f" the base: --topic base_pose:=NAME; its topics: {', '.join(topics)}"
+        )
 
 
 def _scene(args: argparse.Namespace, session: Session) -> Scene:

@@ -35,7 +35,13 @@ def replay_measured(args: argparse.Namespace) -> int:
     simulator = prepared(scene)
     preparation = time.perf_counter() - preparing
     with progress(len(experiment), f"replaying {experiment.name}") as bar:
-        done = replay(experiment.about, simulator, experiment.ticks(), bar.update)
+        done = replay(
+            experiment.about,
+            simulator,
+            experiment.ticks(),
+            bar.update,
+            messages=args.output is not None,
+        )
     check_reached(done.series.process, experiment)
     # the series has the bag's clock, the measurements count from the start
     series = replace(done.series, time=experiment.ends[1:])

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.geometry import Vector
+from needle_sim_ros.identify.coordinates import Coordinates
 from needle_sim_ros.identify.parameters import Parameter
 from needle_sim_ros.identify.prediction import Predicted
 from needle_sim_ros.identify.residuals import Residuals
@@ -99,22 +100,13 @@ class Fitter:
     Raises
     ------
     NeedleSimError
-        When a positive parameter starts at zero.
+        When a positive parameter starts at zero, or the lower of a pair above the other.
     """
 
     def __init__(self, residuals: Residuals, parameters: list[Parameter], start: Vector) -> None:
         self.residuals, self.parameters, self.start = residuals, parameters, start
-        for parameter, value in zip(parameters, start, strict=True):
-            if parameter.positive and value <= 0:
-                raise NeedleSimError(
-                    f"{parameter.name} = {value:g} at the start: must be above zero; set it with"
-                    f" --set {parameter.key}=..."
-                )
-        sizes = [p.size or v for p, v in zip(parameters, start, strict=True)]
-        self.size = np.array(sizes, dtype=float)
-        units = np.array([p.size or 1.0 for p in parameters])
-        self.low = np.array([p.low for p in parameters]) / units
-        self.high = np.array([p.high for p in parameters]) / units
+        self.coordinates = Coordinates(parameters, start)
+        self.size = self.coordinates.size
         self._known: dict[bytes, Vector] = {}
 
     def point(self, u: Vector) -> dict[str, float]:
@@ -129,24 +121,50 @@ class Fitter:
         return self._known[key]
 
     def jacobian(self, u: Vector, central: bool = False) -> Vector:
-        """Return derivatives of the residuals, (n, p), by differences; all points at once."""
-        steps = np.where(u + _STEP > self.high, -_STEP, _STEP)
-        points = [u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True)]
-        if central:
-            points += [u - step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True)]
-        found = self.residuals.at([self.point(point) for point in points])
-        p = len(u)
-        if central:
-            columns = [(found[k] - found[p + k]) / (2 * steps[k]) for k in range(p)]
-        else:
-            middle = self.at(u)
-            columns = [(found[k] - middle) / steps[k] for k in range(p)]
-        jacobian = np.column_stack(columns)
-        if not np.isfinite(jacobian).all():
-            raise NeedleSimError(
-                f"the model refuses parameters beside {self.point(u)}: start elsewhere (--set)"
-            )
-        return jacobian
+        """Return derivatives of the residuals by u, (n, p), by differences; all points at once.
+
+        A side on which the model refuses the parameters is left out.
+
+        Raises
+        ------
+        NeedleSimError
+            When it refuses both.
+        """
+        return self.coordinates.by_sizes(self._slopes(self.coordinates.searched(u), central))
+
+    def _slopes(self, w: Vector, central: bool) -> Vector:
+        """Return derivatives by the numbers that are searched, (n, p)."""
+        within, units = self.coordinates, np.eye(len(w))
+        room = {1: w + _STEP <= within.high, -1: w - _STEP >= within.low}
+        sides = []
+        for k in range(len(w)):
+            first = 1 if room[1][k] else -1
+            sides += [(k, first)] + ([(k, -first)] if central and room[-first][k] else [])
+        found: dict[tuple[int, int], Vector] = {}
+        for _ in range(2):  # the second time the other side of what was refused
+            residuals = self._points([w + sign * _STEP * units[k] for k, sign in sides])
+            pairs = zip(sides, residuals, strict=True)
+            found |= {side: r for side, r in pairs if np.isfinite(r).all()}
+            got = {k for k, _ in found}
+            sides = [(k, -s) for k, s in sides if k not in got and room[-s][k]]
+            if not sides:
+                break
+        columns = []
+        for k in range(len(w)):
+            known = {sign: found[k, sign] for sign in (1, -1) if (k, sign) in found}
+            if not known:
+                here = self.point(within.sized(w))
+                raise NeedleSimError(
+                    f"the model refuses parameters beside {here}: start elsewhere (--set)"
+                )
+            ahead = known[1] if 1 in known else self.at(within.sized(w))
+            behind = known[-1] if -1 in known else self.at(within.sized(w))
+            columns.append((ahead - behind) / (len(known) * _STEP))
+        return np.column_stack(columns)
+
+    def _points(self, places: Sequence[Vector]) -> list[Vector]:
+        """Return the residuals at places of the search."""
+        return self.residuals.at([self.point(self.coordinates.sized(w)) for w in places])
 
     def fit(self) -> Fit:
         """Fit by scipy's trust-region least squares, from the start.
@@ -162,17 +180,25 @@ class Fitter:
             if isinstance(refused, str):
                 raise NeedleSimError(f"the scene cannot follow the commands: {refused}")
         self._known = {u0.tobytes(): self.residuals.weighted(before)}
+        within = self.coordinates
+
+        def residuals(w: Vector) -> Vector:
+            return self.at(within.sized(w))
+
+        def slopes(w: Vector) -> Vector:
+            return self._slopes(w, central=False)
+
         solved = least_squares(
-            self.at,
-            u0,
-            jac=self.jacobian,
-            bounds=(self.low, self.high),
+            residuals,
+            within.searched(u0),
+            jac=slopes,
+            bounds=(within.low, within.high),
             ftol=1e-6,
             xtol=1e-5,
             gtol=1e-10,
             max_nfev=_MOST_EVALUATIONS,
         )
-        u, jacobian = self._polished(np.asarray(solved.x))
+        u, jacobian = self._polished(within.sized(solved.x))
         (after,) = self.residuals.predictions([self.point(u)])
         return self.described(u, jacobian, before, after)
 
@@ -181,7 +207,7 @@ class Fitter:
         jacobian = self.jacobian(u, central=True)
         here = self.at(u)
         step = np.linalg.lstsq(jacobian, -here, rcond=1e-10)[0]
-        better = np.clip(u + step, self.low, self.high)
+        better = self.coordinates.clipped(u + step)
         if np.abs(step).max() < 0.05:
             there = self.at(better)
             if np.isfinite(there).all() and there @ there < here @ here:

@@ -59,6 +59,8 @@ _ALL = (
     *(Parameter(f"force_bias.{axis}", "N", "", 0.1, -10.0, 10.0) for axis in "xyz"),
 )
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
+# the first of a pair is never above the second
+ORDERED = (("friction.kinetic", "friction.static"), ("cutting.force", "puncture.force"))
 DEFAULT = ("youngs_modulus", "friction.static", "friction.kinetic", "cutting.force")
 
 
@@ -115,10 +117,11 @@ def with_values(scene: Scene, values: Values) -> Scene:
             key = f"tissue.regions.{index}.youngs_modulus"
             changes[key] = region.youngs_modulus * stiffer
     laws = scene.interaction
-    for low, high, least, most in (
-        ("friction.kinetic", "friction.static", laws.friction.kinetic, laws.friction.static),
-        ("cutting.force", "puncture.force", laws.cutting.force, laws.puncture.force or 0.0),
-    ):
+    known = (
+        (laws.friction.kinetic, laws.friction.static),
+        (laws.cutting.force, laws.puncture.force or 0.0),
+    )
+    for (low, high), (least, most) in zip(ORDERED, known, strict=True):
         lower = values.get(low, least)
         if values.get(high, most) < lower:
             changes[f"interaction.{high}"] = lower

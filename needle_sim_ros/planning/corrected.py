@@ -10,9 +10,12 @@ import numpy as np
 
 from needle_sim_ros.planning.planner import KEPT, Plan, Planner
 from needle_sim_ros.planning.task import Task
-from needle_sim_ros.planning.verify import Verified, protocol_scene, verify
+from needle_sim_ros.planning.verify import FullModel, Verified, protocol_scene
+from needle_sim_ros.scene import Scene
 
-_MOST_CORRECTIONS = 2
+_MOST_CORRECTIONS = 4
+# of the tolerance, up to what miss of the planning model its bias may be what is missing
+_NEAR = 3.0
 # by how much the full model may exceed a limit that the planning model keeps: what the two
 # differ by at most
 _ALLOWED = 0.01
@@ -48,6 +51,9 @@ def plan_verified(
 ) -> VerifiedPlan:
     """Run a plan in the full model; plan again while it misses there.
 
+    Corrected plans run on the tissue that was prepared for the first, whose mesh is graded to
+    a path a little beside theirs. One that hits is run once more on the mesh of its own path.
+
     Parameters
     ----------
     planner : Planner
@@ -64,25 +70,54 @@ def plan_verified(
     VerifiedPlan
         The best of all that were run in the full model.
     """
-    best: VerifiedPlan | None = None
-    for corrections in range(_MOST_CORRECTIONS + 1):
-        planned = protocol_scene(planner.scene, plan.insertion, task.target)
-        verified = verify(planned, progress)
-        here = VerifiedPlan(plan, verified, corrections, _reached(plan, verified, task))
-        if best is None or _rank(here) < _rank(best):
-            best = here
-        if here.reachable or corrections == _MOST_CORRECTIONS or not _met(plan, task):
+    runs = _Runs(planner, task, progress)
+    here = best = runs.on_own_mesh(plan, 0)
+    for corrections in range(1, _MOST_CORRECTIONS + 1):
+        if here.reachable or not _near(plan, task):
             break
         # the outcome's gap holds the bias so far
+        verified = here.verified
         bias = (verified.tip - verified.target) - (plan.outcome.gap - plan.bias)
         plan = planner.correct(plan, task, np.asarray(bias), tick)
-    assert best is not None
-    return best
+        here = runs.on_kept_mesh(plan, corrections)
+        if here.reachable:
+            here = runs.on_own_mesh(plan, corrections)
+        if _rank(here) < _rank(best):
+            best = here
+    return best if best is runs.latest_own else runs.on_own_mesh(best.plan, best.corrections)
 
 
-def _met(plan: Plan, task: Task) -> bool:
-    """Tell whether the planning model gets there; if not, its bias is not what is wrong."""
-    return plan.reachable and plan.outcome.miss <= task.tolerance
+class _Runs:
+    """Runs of plans for one task in the full model."""
+
+    def __init__(
+        self, planner: Planner, task: Task, progress: Callable[[int, int], object]
+    ) -> None:
+        self._scene, self._task, self._progress = planner.scene, task, progress
+        self._model: FullModel | None = None
+        self.latest_own: VerifiedPlan | None = None
+
+    def on_own_mesh(self, plan: Plan, corrections: int) -> VerifiedPlan:
+        planned = protocol_scene(self._scene, plan.insertion, self._task.target)
+        self._model = FullModel(planned)
+        self.latest_own = self._judged(self._model, planned, plan, corrections)
+        return self.latest_own
+
+    def on_kept_mesh(self, plan: Plan, corrections: int) -> VerifiedPlan:
+        assert self._model is not None
+        planned = protocol_scene(self._scene, plan.insertion, self._task.target)
+        return self._judged(self._model, planned, plan, corrections)
+
+    def _judged(
+        self, model: FullModel, planned: Scene, plan: Plan, corrections: int
+    ) -> VerifiedPlan:
+        verified = model.run(planned, self._progress)
+        return VerifiedPlan(plan, verified, corrections, _reached(plan, verified, self._task))
+
+
+def _near(plan: Plan, task: Task) -> bool:
+    """Tell whether the planning model gets there, or so near that its bias may be the rest."""
+    return plan.outcome.miss <= _NEAR * task.tolerance and not plan.outcome.stopped
 
 
 def _reached(plan: Plan, verified: Verified, task: Task) -> bool:

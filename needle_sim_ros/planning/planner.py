@@ -27,6 +27,7 @@ _CONTENT = {2: 0.2, 3: 0.5}
 # up to what part a limit counts as kept: the search ends on its border
 KEPT = 1e-5
 _MOST_ROLLOUTS = 30  # from each start
+_MOST_IN_ALL = 90  # before another start is tried
 _MOST_AGAIN = 8  # from a plan, once the model's bias is known
 # rollouts on the analytic guess of arcs, and what part of the miss each has to leave at most
 _MOST_ARCS, _STALLED = 8, 0.9
@@ -190,7 +191,7 @@ class _Search:
                     return self._plan(plain)
             for start in self._variables.starts(self._guess(plain)):
                 self._from(start)
-                if self._met():
+                if self._met() or self._rollouts >= _MOST_IN_ALL:
                     break
         except _Found:
             pass

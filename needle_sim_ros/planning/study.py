@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
@@ -14,16 +13,19 @@ from typing import Any
 
 import numpy as np
 
+from needle_sim_ros import results_file
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.plain import plain
 from needle_sim_ros.planning.insertion import Insertion
 from needle_sim_ros.planning.uncertainty import Uncertainty
 from needle_sim_ros.planning.work import Trial, side_by_side
+from needle_sim_ros.results_file import ResultsFile
 from needle_sim_ros.scene import Scene
 
 VERSION = 1
-_HEADER = "needle_sim_study"
+_KIND = "study"
+_SUBJECT = "scene, plan, uncertainty or seed"
 # trials handed out before their results are written
 _BATCH = 32
 
@@ -50,14 +52,14 @@ class Study:
     uncertainty: Uncertainty
     seed: int = 0
 
-    def header(self) -> dict[str, Any]:
-        """Return the first line of the study's file."""
+    def digest(self) -> str:
+        """Return what the study's results hang on, in short."""
         # rounded: a plan made again on another machine may differ in the last bits
         insertion = {k: _rounded(v) for k, v in asdict(self.insertion).items()}
         about: list[Any] = [self.scene.to_dict(), insertion, list(self.target)]
         about += [self.uncertainty.parameters, self.seed]
         text = json.dumps(plain(about), sort_keys=True)
-        return {_HEADER: VERSION, "of": hashlib.sha256(text.encode()).hexdigest()[:16]}
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def trial(self, number: int) -> Trial:
         """Return the trial of a sample."""
@@ -132,7 +134,8 @@ def run_study(
     """
     if samples < 1:
         raise NeedleSimError(f"samples {samples}: must be at least 1")
-    known = {} if path is None else _opened(path, study.header())
+    file = None if path is None else ResultsFile(path, _KIND, VERSION, study.digest(), _SUBJECT)
+    known = {} if file is None else _misses(file)
     results = {k: v for k, v in known.items() if k < samples}
     missing = [number for number in range(samples) if number not in results]
     tick(len(results))
@@ -143,7 +146,7 @@ def run_study(
         for number, trial, outcome in zip(numbers, trials, outcomes, strict=True):
             miss = None if outcome.stopped else outcome.miss
             results[number] = miss
-            if path is not None:
+            if file is not None:
                 line = {
                     "sample": number,
                     "miss_m": miss,
@@ -153,62 +156,19 @@ def run_study(
                     "changes": dict(trial.changes),
                     "stopped": outcome.stopped,
                 }
-                _append(path, line)
+                file.append(line)
             tick(len(results))
     misses = [miss for miss in results.values() if miss is not None]
     return Spread(np.array(misses), len(results) - len(misses))
 
 
-def _append(path: Path, line: dict[str, Any]) -> None:
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(plain(line), allow_nan=False) + "\n")
-
-
-def _opened(path: Path, header: dict[str, Any]) -> dict[int, float | None]:
-    """Return the samples in a file; begin it, and cut off a line that was not finished."""
-    if not path.exists() or path.stat().st_size == 0:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _append(path, header)
-        return {}
-    data = path.read_bytes()
-    whole = data.rfind(b"\n") + 1
-    lines = data[:whole].decode("utf-8", errors="replace").splitlines()
-    _check_header(path, lines, header)
-    if whole < len(data):
-        os.truncate(path, whole)
-    found: dict[int, float | None] = {}
-    for index, line in enumerate(lines[1:], start=2):
-        try:
-            entry = json.loads(line)
-            found[int(entry["sample"])] = entry["miss_m"]
-        except (ValueError, KeyError, TypeError):
-            raise NeedleSimError(f"{path}: line {index} is not a sample of a study") from None
-    return found
+def _misses(file: ResultsFile) -> dict[int, float | None]:
+    try:
+        return {int(entry["sample"]): entry["miss_m"] for entry in file.entries}
+    except (KeyError, TypeError, ValueError):
+        raise NeedleSimError(f"{file.path}: a result is not a sample of a study") from None
 
 
 def check_version(path: Path) -> None:
     """Refuse, before any work, a file that is no study, or of another version."""
-    if path.exists() and path.stat().st_size > 0:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            _first(path, file.readline())
-
-
-def _first(path: Path, line: str) -> dict[str, Any]:
-    try:
-        first: dict[str, Any] = json.loads(line)
-        version = first[_HEADER]
-    except (ValueError, KeyError, TypeError):
-        raise NeedleSimError(f"{path}: not a study of needle_sim") from None
-    if version != VERSION:
-        raise NeedleSimError(
-            f"{path}: a study of version {version!r}; this program reads version {VERSION}"
-        )
-    return first
-
-
-def _check_header(path: Path, lines: list[str], header: dict[str, Any]) -> None:
-    first = _first(path, lines[0] if lines else "")
-    if first.get("of") != header["of"]:
-        raise NeedleSimError(
-            f"{path}: a study of another scene, plan, uncertainty or seed; name a new file"
-        )
+    results_file.check_version(path, _KIND, VERSION)

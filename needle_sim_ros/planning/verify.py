@@ -48,10 +48,45 @@ def protocol_scene(scene: Scene, insertion: Insertion, target: tuple[float, ...]
     )
 
 
+class FullModel:
+    """The scene's own mesh, dynamics and tick, for insertions that differ little.
+
+    Parameters
+    ----------
+    planned : Scene
+        Of :func:`protocol_scene`: the mesh is graded to its path.
+    """
+
+    def __init__(self, planned: Scene) -> None:
+        self._simulator = Simulator(planned)
+
+    def run(
+        self, planned: Scene, tick: Callable[[int, int], object] = lambda done, total: None
+    ) -> Verified:
+        """Run a planned scene's protocol.
+
+        Parameters
+        ----------
+        planned : Scene
+            Of :func:`protocol_scene`, of the same scene and target.
+        tick : callable
+            Called with (done, total) ticks.
+        """
+        simulator, step = self._simulator.variant(planned), planned.solver.time_step
+        commands = protocol_commands(planned.protocol, step)
+        force = deflection = 0.0
+        for number, command in enumerate(commands):
+            seen = simulator.step(command, step)
+            force = max(force, float(np.linalg.norm(seen.base_force)))
+            deflection = max(deflection, math.hypot(*seen.tip_deflection))
+            tick(number + 1, len(commands))
+        return Verified(seen.tip_position, seen.marker_positions[-1], force, deflection)
+
+
 def verify(
     planned: Scene, tick: Callable[[int, int], object] = lambda done, total: None
 ) -> Verified:
-    """Run a planned scene's protocol in the scene's own model.
+    """Run a planned scene's protocol in the scene's own model, on the mesh of its own path.
 
     Parameters
     ----------
@@ -60,12 +95,4 @@ def verify(
     tick : callable
         Called with (done, total) ticks.
     """
-    simulator, step = Simulator(planned), planned.solver.time_step
-    commands = protocol_commands(planned.protocol, step)
-    force = deflection = 0.0
-    for number, command in enumerate(commands):
-        seen = simulator.step(command, step)
-        force = max(force, float(np.linalg.norm(seen.base_force)))
-        deflection = max(deflection, math.hypot(*seen.tip_deflection))
-        tick(number + 1, len(commands))
-    return Verified(seen.tip_position, seen.marker_positions[-1], force, deflection)
+    return FullModel(planned).run(planned, tick)

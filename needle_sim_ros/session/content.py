@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
+from operator import itemgetter
 from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
@@ -16,11 +17,12 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session.mcap_chunk import records_in
-from needle_sim_ros.session.mcap_walk import CUT_OFF, Damage, Piece, Source, walk
+from needle_sim_ros.session.mcap_walk import CUT_OFF, Damage, Source, walk
 
 Message = tuple[int, int, bytes]  # sequence, log time in ns, data
 MESSAGE_HEAD = struct.Struct("<HIQQ")
+_RECORD = struct.Struct("<BQ")
+_RECORD_AND_HEAD = struct.Struct("<BQHIQQ")
 UNREADABLE = (McapError, struct.error, UnicodeDecodeError)
 
 
@@ -59,7 +61,7 @@ class Content:
             and self.schemas[channel.schema_id].name == kind
             for message in self.messages.get(number, [])
         ]
-        return sorted(found, key=lambda message: message[1])
+        return sorted(found, key=itemgetter(1))
 
 
 @dataclass
@@ -109,14 +111,13 @@ def read_content(path: Path) -> Content:
             elif piece.opcode == Opcode.METADATA:
                 record = read_metadata(piece.content)
                 metadata[record.name] = dict(record.metadata)
-            for opcode, data, begin, end in _parts(piece):
-                if opcode == Opcode.MESSAGE and end - begin >= MESSAGE_HEAD.size:
-                    channel, sequence, time, _ = MESSAGE_HEAD.unpack_from(data, begin)
-                    messages[channel].append(
-                        (sequence, time, data[begin + MESSAGE_HEAD.size : end])
-                    )
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    definitions.add(opcode, data[begin:end])
+            if piece.opcode == Opcode.CHUNK:
+                _unpacked(piece.content, messages, definitions)
+            elif piece.opcode == Opcode.MESSAGE and len(piece.content) >= MESSAGE_HEAD.size:
+                channel, sequence, time, _ = MESSAGE_HEAD.unpack_from(piece.content)
+                messages[channel].append((sequence, time, piece.content[MESSAGE_HEAD.size :]))
+            elif piece.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                definitions.add(piece.opcode, piece.content)
     return Content(
         damage,
         attachments,
@@ -173,10 +174,26 @@ def read_metadata(content: bytes) -> Metadata:
     return Metadata.read(ReadDataStream(BytesIO(content)))
 
 
-def _parts(piece: Piece) -> Iterator[tuple[int, bytes, int, int]]:
-    """Yield opcode, bytes, begin and end of a record, or of all records of a chunk."""
-    if piece.opcode == Opcode.CHUNK:
-        for opcode, begin, end in records_in(piece.content):
-            yield opcode, piece.content, begin, end
-    else:
-        yield piece.opcode, piece.content, 0, len(piece.content)
+def _unpacked(
+    data: bytes, messages: defaultdict[int, list[Message]], definitions: Definitions
+) -> None:
+    """Take the messages, schemas and channels of a chunk, up to its last whole record.
+
+    A session has ten messages a tick: record and message head are read in one go.
+    """
+    offset, end = 0, len(data)
+    of_record, of_both = _RECORD.unpack_from, _RECORD_AND_HEAD.unpack_from
+    kind, least = Opcode.MESSAGE, MESSAGE_HEAD.size
+    while offset + _RECORD.size <= end:
+        if offset + _RECORD_AND_HEAD.size <= end:
+            opcode, length, channel, sequence, time, _ = of_both(data, offset)
+        else:
+            opcode, length = of_record(data, offset)
+        begin = offset + _RECORD.size
+        offset = begin + length
+        if offset > end:
+            return
+        if opcode == kind and length >= least:
+            messages[channel].append((sequence, time, data[begin + least : offset]))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            definitions.add(opcode, data[begin:offset])

@@ -147,8 +147,12 @@ def _factor(name: str, unit: str) -> float:
 def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SessionError(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise SessionError(
+            f"{path}: not a CSV file: byte {error.start} is no text (UTF-8)"
+        ) from None
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if len(lines) < 3:
         raise SessionError(f"{path}: must have a line of headings and at least two rows")

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from needle_sim_ros.errors import SessionError
+from needle_sim_ros.errors import SceneError, SessionError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.session.motion import Motion
@@ -24,6 +24,22 @@ from needle_sim_ros.session.series import Series
 from needle_sim_ros.session.writer import BASE_FRAME, TISSUE_FRAME
 
 UNITS = {"force": "N", "torque": "N m", "markers": "m", "tip": "m"}
+
+
+def begun_at(scene: Scene, position: Sequence[float], orientation: Sequence[float]) -> Scene:
+    """Return a scene whose base begins elsewhere, m and quaternion x y z w.
+
+    Its own protocol is left out where it cannot be carried out from there: what moves the base
+    in an experiment are the commands that were recorded.
+    """
+    changes: dict[str, object] = {
+        "base.position": list(position),
+        "base.orientation": list(orientation),
+    }
+    try:
+        return scene.with_changes(changes)
+    except SceneError:
+        return scene.with_changes({**changes, "protocol": []})
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +114,9 @@ class Experiment:
             if not self.scene_text:
                 raise SessionError(f"{self.name}: the bag holds no scene: give one with --scene")
             given = Scene.from_yaml(self.scene_text)
-        changes: dict[str, object] = {}
-        if self.start is not None:
-            changes["base.position"] = list(self.start[0])
-            changes["base.orientation"] = list(self.start[1])
         if self.markers is not None:
-            changes["markers"] = self.markers.tolist()
-        return given.with_changes(changes) if changes else given
+            given = given.with_changes({"markers": self.markers.tolist()})
+        return given if self.start is None else begun_at(given, *self.start)
 
     @property
     def ends(self) -> Vector:

@@ -15,7 +15,7 @@ from needle_sim_ros.session.experiment import Experiment, of_session
 from needle_sim_ros.session.imported import imported_mapping, is_imported
 from needle_sim_ros.session.mapping import COMMAND, Mapping, TopicMap
 from needle_sim_ros.session.measured import commanded, with_measured
-from needle_sim_ros.session.reader import session_of
+from needle_sim_ros.session.reader import mcap_files, session_of
 from needle_sim_ros.session.topics import TopicData, read_topic
 from needle_sim_ros.session.writer import ABOUT, SCENE_FILE
 
@@ -31,15 +31,7 @@ def bag_contents(path: str | Path) -> list[tuple[Path, Content]]:
     SessionError
         When there is none, or one is no MCAP file.
     """
-    given = Path(path).expanduser()
-    if given.is_file():
-        return [(given, read_content(given))]
-    if not given.is_dir():
-        raise SessionError(f"{given}: no such bag")
-    files = sorted(given.glob("*.mcap"))
-    if not files:
-        raise SessionError(f"{given}: no MCAP file in this folder")
-    return [(file, read_content(file)) for file in files]
+    return [(file, read_content(file)) for file in mcap_files(path)]
 
 
 def read_experiment(path: str | Path, mapping: Mapping | None, scene: Scene | None) -> Experiment:

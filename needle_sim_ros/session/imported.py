@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import datetime, timezone
 from hashlib import sha256
 from pathlib import Path
@@ -14,11 +13,12 @@ import numpy as np
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.scene import Base, Scene
+from needle_sim_ros.scene import Scene
 from needle_sim_ros.session import cdr, channels
 from needle_sim_ros.session.about import versions
 from needle_sim_ros.session.bag import Bag, Topic
 from needle_sim_ros.session.channels import Channel
+from needle_sim_ros.session.experiment import begun_at
 from needle_sim_ros.session.frames import poses_at
 from needle_sim_ros.session.mapping import Mapping as TopicMapping
 from needle_sim_ros.session.mapping import TopicMap
@@ -103,8 +103,7 @@ def write_imported(
         seen = [(t, cloud(t, p, d)) for t, p, d in zip(stamps, markers, moved, strict=True)]
         written.append((channels.TISSUE_MARKERS, seen))
     if scene is not None:
-        start = Base(tuple(poses[0, :3].tolist()), tuple(poses[0, 3:].tolist()))
-        scene = replace(scene, base=start)
+        scene = begun_at(scene, poses[0, :3].tolist(), poses[0, 3:].tolist())
     _write(folder, written, scene, period)
     return {channels.resolve(channel.name): len(rows) for channel, rows in written}
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from mcap_ros2.decoder import DecoderFactory
@@ -200,13 +200,9 @@ def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
         return [time for _, time, _ in found], [data for *_, data in found]
 
     times, poses = messages(channels.APPLIED_POSE)
-    rows = decode.stamped_doubles(poses, 7).tolist()
-    motions = [(t, Motion.from_values("pose", row)) for t, row in zip(times, rows, strict=True)]
+    motions = _motions("pose", times, decode.stamped_doubles(poses, 7))
     times, twists = messages(channels.APPLIED_VELOCITY)
-    rows = decode.stamped_doubles(twists, 6).tolist()
-    motions += [
-        (t, Motion.from_values("velocity", row)) for t, row in zip(times, rows, strict=True)
-    ]
+    motions += _motions("velocity", times, decode.stamped_doubles(twists, 6))
     times, happened = messages(channels.EVENTS)
     events = [(t, json.loads(e)) for t, e in zip(times, decode.texts(happened), strict=True)]
     scene_text = scene.decode()
@@ -224,6 +220,20 @@ def _session(file: Path, content: Content, about: Mapping[str, str]) -> Session:
         tick_times=_tick_times(content, about),
         mesh=attached_mesh(content.attachments),
     )
+
+
+def _motions(
+    kind: Literal["pose", "velocity"], times: Sequence[int], rows: Array
+) -> list[tuple[int, Motion]]:
+    """Return motions from their rows; equal ones, of which a session has many, are one object."""
+    known: dict[bytes, Motion] = {}
+    motions = []
+    for time, row in zip(times, rows, strict=True):
+        key = row.tobytes()
+        if key not in known:
+            known[key] = Motion.from_values(kind, row.tolist())
+        motions.append((time, known[key]))
+    return motions
 
 
 def _tick_times(content: Content, about: Mapping[str, str]) -> Array:
@@ -262,10 +272,13 @@ def series_of(
     recorded: Recorded, scene_text: str = "", about: Mapping[str, str] | None = None
 ) -> Series:
     """Return the outputs of the ticks of which every one is there."""
-    present = [set(times) for role, (times, _) in recorded.items() if len(times) or role in _NEEDED]
-    times = sorted(set.intersection(*present))
+    present = [times for role, (times, _) in recorded.items() if len(times) or role in _NEEDED]
+    times = sorted(set.intersection(*map(set, present)))
+    whole = all(len(each) == len(times) and list(each) == times for each in present)
 
-    def rows(role: str) -> list[bytes]:
+    def rows(role: str) -> Sequence[bytes]:
+        if whole:
+            return recorded[role][1]
         found = dict(zip(*recorded[role], strict=True))
         return [found[time] for time in times] if found else []
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import NeedleSimError, SessionError
 from needle_sim_ros.session import channels
+from needle_sim_ros.session.collect import Collector
 from needle_sim_ros.session.motion import STILL, Motion
-from needle_sim_ros.session.reader import Recorded, series_of
+from needle_sim_ros.session.reader import Recorded
 from needle_sim_ros.session.writer import nanoseconds
 
 if TYPE_CHECKING:
@@ -51,18 +52,19 @@ class Replay:
 
     Parameters
     ----------
-    messages : mapping
-        Log times and serialised messages of every output, by role.
     series : Series
-        The same as arrays.
+        Every output, as a recording of it would be read.
     ticks, held : int
         Ticks simulated, and those of them whose command was lost.
+    messages : mapping
+        Log times and serialised messages of every output, by role; empty when they were not
+        asked for.
     """
 
-    messages: Recorded
     series: Series
     ticks: int
     held: int
+    messages: Recorded
 
 
 def replay_ticks(session: Session) -> list[Tick]:
@@ -131,6 +133,7 @@ def replay(
     simulator: Simulator,
     ticks: list[Tick],
     advance: Callable[[], object] = lambda: None,
+    messages: bool = False,
 ) -> Replay:
     """Step a simulator through the ticks of a session.
 
@@ -144,6 +147,8 @@ def replay(
         See :func:`replay_ticks`.
     advance : callable
         Called after each tick.
+    messages : bool
+        Whether to serialise the outputs too, for another recording.
 
     Raises
     ------
@@ -151,19 +156,22 @@ def replay(
         When the simulator refuses a tick, with its time.
     """
     encoders = channels.output_encoders(about["tissue_frame"], about["base_frame"])
+    encoders = encoders if messages else {}
     outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in encoders}
+    collector = Collector(len(ticks), len(simulator.scene.markers))
     for tick, observation in steps(simulator, ticks, float(about["tick_period"])):
         advance()
         if tick.log_time is None:
             continue
+        collector.add(tick.log_time, observation)
         stamp = nanoseconds(observation.time)
         for channel, encode in encoders.items():
-            times, messages = outputs[channel.role]
+            times, rows = outputs[channel.role]
             times.append(tick.log_time)
-            messages.append(encode(stamp, observation))
+            rows.append(encode(stamp, observation))
     held = sum(tick.held for tick in ticks)
-    series = series_of(outputs, simulator.scene.to_yaml(), about)
-    return Replay(outputs, series, len(ticks), held)
+    series = collector.series(simulator.scene.to_yaml(), about)
+    return Replay(series, len(ticks), held, outputs)
 
 
 def steps(

@@ -76,6 +76,18 @@ def test_replay_compares_with_what_was_measured(tmp_path, capsys):
     assert main(["plot", str(tmp_path / "both"), "--output", str(tmp_path / "x.svg")]) == 2
 
 
+def test_two_bags_are_fitted_on_a_dask_cluster(tmp_path, dask_address):
+    """All but one parameter at the truth; few ticks."""
+    out, known = tmp_path / "fit.json", {"tissue.youngs_modulus": 18e3}
+    known |= {"interaction.friction.kinetic": 17.0}
+    options = [part for k, v in known.items() for part in ("--set", f"{k}={v}")]
+    options += ["--parameters", "cutting.force", "--rate", "2", "--json", str(out)]
+    assert main(["identify", PHANTOM[0], *PHANTOM, *SCENE, *options, "--dask", dask_address]) == 0
+    found = json.loads(out.read_text())
+    assert len(found["bags"]) == 2
+    assert found["parameters"]["cutting.force"]["value"] == pytest.approx(0.38, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -91,3 +103,18 @@ def test_bad_input_is_one_message_and_status_2(options, message, capsys):
     assert main(["identify", *PHANTOM, *SCENE, "--workers", "1", *options]) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1
+
+
+def test_a_bag_of_others_is_replayed_only_with_its_topics_named(capsys):
+    assert main(["replay", PHANTOM[0], *SCENE]) == 2
+    said = capsys.readouterr().err
+    assert "no command topic" in said and "/robot/ee_pose" in said and said.count("\n") == 1
+
+
+def test_a_scene_that_does_not_fit_the_commands_is_said(tmp_path, capsys):
+    """Metres above the tissue, by the transform of the robot's frame."""
+    mapping = Path(PHANTOM[2]).read_text().replace("-0.35]", "2.35]")
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(mapping)
+    assert main(["replay", PHANTOM[0], "--mapping", str(wrong), *SCENE]) == 2
+    assert "the needle never reaches the tissue" in capsys.readouterr().err.splitlines()[-1]

@@ -96,7 +96,7 @@ def test_bad_input_is_one_line(kind, tmp_path, recorded, capsys):
         "text": ([text], "not an MCAP file"),
         "none": ([tmp_path / "nothing"], "no such session"),
         "empty": ([empty_mcap(tmp_path / "e.mcap")], "the bag is empty"),
-        "foreign": ([empty_mcap(tmp_path / "f.mcap", "/x")], "not a session of needle_sim"),
+        "foreign": ([empty_mcap(tmp_path / "f.mcap", "/x")], "it is no session of needle_sim"),
         "tolerance": ([recorded / "bag", "--tolerance", "force=1"], "the channels are"),
         "no_commands": ([session], "no command topic"),
     }[kind]

@@ -99,3 +99,37 @@ def test_nothing_to_fit_to_is_refused(scene, experiment):
             chosen(["cutting.force"]),
             np.zeros(1),
         )
+
+
+def test_no_trial_of_a_fit_has_puncture_below_cutting(scene, experiment):
+    """The search begins on that border, and leaves it."""
+    tried = []
+
+    class Watched(Residuals):
+        def predictions(self, points):
+            tried.extend(points)
+            return super().predictions(points)
+
+    names = ["cutting.force", "puncture.force"]
+    residuals = Watched([Trial(experiment, scene)], NOISE, SerialExecutor())
+    found = Fitter(residuals, chosen(names), np.array([0.45, 0.45])).fit().named()
+    assert len(tried) > 5
+    assert all(p["puncture.force"] >= p["cutting.force"] * (1 - 1e-12) for p in tried)
+    assert found["puncture.force"] == pytest.approx(0.5, rel=0.1)
+    with pytest.raises(NeedleSimError, match=r"puncture.force = 0.4 .* must be >= cutting.force"):
+        Fitter(residuals, chosen(names), np.array([0.6, 0.4]))
+
+
+def test_a_side_that_the_model_refuses_is_left_out(scene, experiment):
+    """A region's own static friction bounds the kinetic: the derivative is taken from below."""
+    region = {"name": "layer", "shape": "half_space", "center": [0, 0, -0.02]}
+    bounded = scene.with_changes(
+        {
+            "tissue.regions": [{**region, "friction_static": 14.0}],
+            "interaction.friction.kinetic": 13.999,
+        }
+    )
+    residuals = Residuals([Trial(experiment, bounded)], NOISE, SerialExecutor())
+    fitter = Fitter(residuals, chosen(["friction.kinetic"]), np.array([13.999]))
+    slope = fitter.jacobian(np.ones(1))
+    assert np.isfinite(slope).all() and np.abs(slope).max() > 0

@@ -83,9 +83,19 @@ def test_an_interrupted_study_resumes(study, tmp_path):
     assert path.read_bytes() == before
 
 
+def test_a_study_on_a_dask_cluster_finds_the_same(study, tmp_path, dask_address):
+    """Its worker prepares the tissue itself, so that sums may round otherwise."""
+    path = tmp_path / "there.jsonl"
+    with executor(dask=dask_address) as pool:
+        there = run_study(study, 6, pool, path)
+    lines = [json.loads(line) for line in path.read_text().splitlines()[1:]]
+    assert [line["sample"] for line in lines] == [0, 1, 2, 3, 4, 5]
+    np.testing.assert_allclose(there.misses, run(study, 6).misses, rtol=1e-6)
+
+
 def test_files_of_others_are_refused_and_kept(study, tmp_path):
     path = tmp_path / "study.jsonl"
-    other = {**study.header(), "of": "another"}
+    other = {"needle_sim_study": 1, "of": "another"}
     for text, words in (
         ('{"needle_sim_study": 99}\n', "version 99"),
         ("hello\n", "not a study"),

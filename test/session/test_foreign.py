@@ -7,6 +7,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session.bag import Bag, Topic
+from needle_sim_ros.session.experiment import begun_at
 from needle_sim_ros.session.foreign import read_experiment
 from needle_sim_ros.session.mapping import Mapping, read_mapping
 from needle_sim_ros.session.schema import message_schema
@@ -266,3 +267,14 @@ def test_pairs_lie_over_the_file(tmp_path):
     assert (mapping.wrench.topic, mapping.wrench.sign, mapping.clock) == ("/b", -1, "log")
     with pytest.raises(SessionError, match="ROLE:=TOPIC"):
         read_mapping(None, ["force:=/b"])
+
+
+def test_a_protocol_that_cannot_begin_where_the_experiment_did_is_left_out(coarse_scene):
+    """It is not what moved the base: a base farther up may have come farther down."""
+    scene = coarse_scene()
+    x, y, z = scene.base.position
+    near = begun_at(scene, (x + 1e-3, y, z), scene.base.orientation)
+    assert near.base.position == (x + 1e-3, y, z) and near.protocol == scene.protocol
+    far = begun_at(scene, (x, y, z + 0.3), scene.base.orientation)
+    assert far.base.position == (x, y, z + 0.3) and far.protocol == ()
+    assert far.needle == scene.needle and far.tissue == scene.tissue
