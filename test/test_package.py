@@ -21,11 +21,11 @@ SOURCE = ROOT / "needle_sim_ros"
 # A part may import what stands in an earlier row, and its neighbours if no circle results.
 LAYERS = (
     {"errors"},
-    {"command", "geometry", "parallel", "plain", "resources", "schema"},
+    {"command", "geometry", "parallel", "plain", "results_file", "resources", "schema"},
     {"scene", "scene_checks"},
     {"tissue", "needle", "protocol"},
     {"interaction"},
-    {"base_motion", "observation", "similarity", "simulator", "statistics"},
+    {"base_motion", "observation", "similarity", "simulator", "statistics", "substeps"},
     {"session", "identify", "planning", "benchmark", "view"},
     {"cli", "commands", "ros"},
 )
