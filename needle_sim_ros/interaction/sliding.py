@@ -19,7 +19,6 @@ from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.pose import BasePose
-from needle_sim_ros.needle import beam
 from needle_sim_ros.tissue.response import ResponseTable
 
 
@@ -154,11 +153,8 @@ class SlidingProblem:
 
     def _lateral_compliance(self) -> Vector:
         """Return what the lateral forces do to the gaps, (m k, m k); lower triangle only."""
-        s, k, m = self.arclength, len(self.arclength), len(self.pose.lateral)
-        # a^2 (b - a / 3) / 2EI below the diagonal: all that the factorisation reads
-        bend = s[:, None] - s * (1.0 / 3.0)
-        bend *= s * s * (0.5 / self.rigidity)
-        bend.reshape(-1)[:: k + 1] += self.softness
+        k, m = len(self.arclength), len(self.pose.lateral)
+        bend = self._bend()
         if m == 1:
             bend += self._component(0, 0, k, k)
             return bend
@@ -169,6 +165,18 @@ class SlidingProblem:
                 matrix[rows, b * k : (b + 1) * k] = self._component(a, b, k, k)
             matrix[rows, rows] += bend
         return matrix
+
+    def _bend(self) -> Vector:
+        """Return what lateral forces along one axis do to the needle and its hold, (k, k), m/N.
+
+        Right on the diagonal and below it; above it is less than it should be.
+        """
+        s = self.arclength
+        # C_n = a^2 (b - a / 3) / 2EI: with a and b exchanged it is less by (b - a)^3 / 6EI
+        bend = s[:, None] - s * (1.0 / 3.0)
+        bend *= s * s * (0.5 / self.rigidity)
+        bend.reshape(-1)[:: len(s) + 1] += self.softness
+        return bend
 
     def _component(self, u: int, v: int, rows: int, columns: int) -> Vector:
         """Return the compliance along axis u of the first rows per force along axis v."""
@@ -189,15 +197,15 @@ class SlidingProblem:
         wide = m * k
         size = wide + n + 1
         matrix = np.empty((size, size))
-        bend = beam.flexibility(self.arclength, self.arclength, self.rigidity)
-        bend.reshape(-1)[:: k + 1] += self.softness
+        bend = self._bend()
+        bend = np.maximum(bend, bend.T)
         axial = self._component(m, m, n, n)
         pressed = axial @ self.share
         for a in range(m):
             rows = slice(a * k, (a + 1) * k)
             for b in range(m):
-                matrix[rows, b * k : (b + 1) * k] = self._component(a, b, k, k)
-            matrix[rows, rows] += bend
+                block = self._component(a, b, k, k)
+                matrix[rows, b * k : (b + 1) * k] = block + bend if a == b else block
             mixed = self._component(a, m, k, n)
             matrix[rows, wide:-1] = mixed
             matrix[wide:-1, rows] = mixed.T
