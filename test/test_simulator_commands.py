@@ -6,6 +6,7 @@ import pytest
 
 from needle_sim_ros import BaseCommand, CommandError, Simulator
 from needle_sim_ros.geometry import from_rotation_vector, multiply
+from needle_sim_ros.interaction.process import Process
 
 NAN, INF = float("nan"), float("inf")
 DOWN = (0, 0, -3e-3)
@@ -181,3 +182,12 @@ def test_no_command_stands_still(simulator, drive):
     after = sim.step(BaseCommand(), 0.5)
     np.testing.assert_array_equal(after.base_position, before.base_position)
     assert after.time == pytest.approx(before.time + 0.5)
+
+
+def test_beneath_the_tissue_the_needle_is_free(simulator):
+    """Beside it, down, and then sideways under it: nothing is touched."""
+    sim = simulator({"needle.length": 0.3, "base.position": [0, 0, 0.31]})
+    for place in ([0.07, 0, 0.31], [0.07, 0, 0.15], [0.04, 0, 0.15], [0.07, 0, 0.15]):
+        seen = sim.step(BaseCommand(position=place), 1.0)
+        assert seen.process is Process.FREE
+        assert not seen.base_force.any()

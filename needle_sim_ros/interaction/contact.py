@@ -150,6 +150,8 @@ class Contact:
             return self._released(state, step)._replace(inserted=True, depth=0.0, rate=0.0)
         # a free tip below the surface is in the dent that it left (dynamics), or underneath
         if starts[-1] < -2 * self._half[-1]:
+            if ends[-1] <= -2 * self._half[-1]:
+                return self._released(state, step)
             raise CommandError(f"the tip would enter the tissue from below, at {ends.tolist()} m")
         track = self._layer.touch(entry, step.after.axial)
         fresh = self.at_rest()
