@@ -120,6 +120,18 @@ class Simulator:
             scene,
         )
 
+    def prepare_beside(self) -> None:
+        """Begin to prepare, beside the ticks, what a needle steered off its plan calls for.
+
+        Worth it in real time: what is not there when a tick needs it, the tick waits for.
+        """
+        self._built.beside.start()
+
+    @property
+    def prepared_beside(self) -> float:
+        """What part of that is prepared, 0 to 1."""
+        return self._built.beside.share
+
     # ------------------------------------------------------------------------- ticking
     @property
     def time(self) -> float:

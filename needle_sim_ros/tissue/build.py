@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Region, Scene
+from needle_sim_ros.tissue.beside import Beside
 from needle_sim_ros.tissue.cache import Cache, key_of
 from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.direct import DirectCompliance
@@ -23,7 +24,7 @@ from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import FullNewmark, NewmarkRule, effective_matrix
 from needle_sim_ros.tissue.ordering import unknowns_order
 from needle_sim_ros.tissue.plan import plane_points as plane_points
-from needle_sim_ros.tissue.plan import touched
+from needle_sim_ros.tissue.plan import beside, touched
 from needle_sim_ros.tissue.reduced import ReducedNewmark, lowest_modes
 
 Progress = Callable[[int, int], None]
@@ -74,6 +75,7 @@ class BuiltTissue:
     factor: Factor
     dynamics: Dynamics
     preparation: Preparation
+    beside: Beside
 
 
 def fixed_parts(scene: Scene) -> dict[str, object]:
@@ -120,6 +122,8 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
     kind = NodalCompliance if _worth_keeping(model, planned) else DirectCompliance
     compliance = kind(model, factor, readers, tile, center)
     modes, cached = _prepared(model, factor, compliance, planned, began, progress)
+    kept = not isinstance(compliance, DirectCompliance)
+    about = Beside(compliance, beside(scene, model, planned) if kept else [])
     dynamics: Dynamics
     if full:
         dynamics = FullNewmark(model, factor, compliance, rule)
@@ -129,7 +133,7 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
         dynamics = QuasiStatic(model, factor, compliance)
     spent = time.perf_counter() - began
     preparation = Preparation(library, len(model.free), cached, spent)
-    return BuiltTissue(model, factor, dynamics, preparation)
+    return BuiltTissue(model, factor, dynamics, preparation, about)
 
 
 def _prepared(
