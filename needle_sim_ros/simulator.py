@@ -27,6 +27,7 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
 from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, equal_parts, parts_of_step
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
+from needle_sim_ros.tissue.near_field import NearField, disc_radius
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
@@ -71,9 +72,10 @@ class Simulator:
         self.preparation = built.preparation
         empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
         self._empty = empty
-        coupling = Coupling(self._model, scene.needle.radius)
+        coupling = Coupling(self._model, disc_radius(scene))
         laws = Laws(scene)
-        layer = TrackLayer(coupling, laws, empty, scene.solver.track_spacing)
+        near = NearField(scene) if coupling.radius > scene.needle.radius else None
+        layer = TrackLayer(coupling, laws, empty, scene.solver.track_spacing, near)
         self._contact_laws = Contact(scene, layer, laws)
         self._markers = np.array(scene.markers, dtype=float).reshape(-1, 3)
         self._own_step = scene.solver.time_step if scene.solver.dynamics == "newmark" else None

@@ -21,6 +21,7 @@ from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.libraries import Choice, choose
 from needle_sim_ros.tissue.mesh import Index, planned_path, spacings
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.near_field import disc_radius
 from needle_sim_ros.tissue.newmark import FullNewmark, NewmarkRule, effective_matrix
 from needle_sim_ros.tissue.ordering import unknowns_order
 from needle_sim_ros.tissue.plan import plane_points as plane_points
@@ -116,7 +117,7 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
     empty = sp.csr_array((0, len(model.free)))
     readers = model.sampling(markers) if len(markers) else empty
     _, along, _ = spacings(scene)
-    tile = (2.2 * scene.needle.radius,) * (scene.dimension - 1) + (4 * along,)
+    tile = (2.2 * disc_radius(scene),) * (scene.dimension - 1) + (4 * along,)
     center = plane_points(planned_path(scene).entry, scene.dimension)[0]
     planned = touched(scene, model)
     kind = NodalCompliance if _worth_keeping(model, planned) else DirectCompliance

@@ -11,11 +11,14 @@ from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.mesh import Index, planned_path, spacings, steering
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.near_field import disc_radius
 
 # unknowns whose responses to each other are kept about a path in 3D, 0.4 GB, and how far from
 # it, m, the base may move or turn the needle then
 _AFFORDED = 7_200
 _ROOM = (1.5e-3, 3.0e-3, 5.0e-3)
+# how far aside a needle steers, least and most, in parts of its depth times its deviation
+_SWERVE = (0.25, 1.5)
 
 
 def plane_points(points: Vector, dimension: int) -> Vector:
@@ -89,7 +92,7 @@ def _center(scene: Scene) -> tuple[Vector, Vector]:
 
 def _drift(scene: Scene, depths: Vector) -> Vector:
     """Return how far to the steered side the needle may be at depths, (n,), m."""
-    return np.asarray(1.5 * math.tan(scene.needle.tip.deviation_angle) * depths)
+    return np.asarray(_SWERVE[1] * math.tan(scene.needle.tip.deviation_angle) * depths)
 
 
 def _least(scene: Scene) -> float:
@@ -107,7 +110,7 @@ def _about(scene: Scene, model: TissueModel, center: Vector, drift: Vector, room
     center : ndarray, shape (n, 3)
         Places on the path, m.
     drift : ndarray, shape (n,)
-        How far the needle may have gone at each to the side to which it steers, m.
+        How far at most the needle may have gone at each to the side to which it steers, m.
     room : float
         How much wider than the needle the disc is, m.
     """
@@ -120,10 +123,11 @@ def _swept(scene: Scene, drift: Vector, room: float) -> Vector:
     quaternion = np.array(scene.base.orientation)
     turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
     step = 0.5 * spacings(scene)[0]
-    moves = np.linspace(0.0, 1.0, 2 + int(np.abs(drift).max() / step)) if drift.any() else [0.0]
+    least, most = _SWERVE[0] / _SWERVE[1], 1.0
+    moves = np.linspace(least, most, 2 + int(np.abs(drift).max() / step)) if drift.any() else [0.0]
     # cells of any arrangement begin and end anywhere beside the path
     from_file = scene.tissue.mesh.file is not None
-    radius = scene.needle.radius * (1 - 1e-9) + room
+    radius = disc_radius(scene) * (1 - 1e-9) + room
     rings = 9 if from_file else max(3, 2 + int(radius / step))
     angles = np.linspace(0.0, 2 * np.pi, 32 if from_file else 4 * rings, endpoint=False)
     ring = np.cos(angles)[:, None] * turned[:, 0] + np.sin(angles)[:, None] * turned[:, 1]

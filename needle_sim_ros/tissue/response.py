@@ -31,6 +31,7 @@ class _Store:
         self.between = self.residual if modes is None else np.zeros((0, 0))
         self.read = np.zeros((readers, 0))
         self.modal = np.zeros((modes or 0, 0))
+        self.near: Vector | None = None  # of `static`, what the mesh does not show
 
     def with_room(self, count: int) -> _Store:
         """Return this store, or a wider or separate one that holds its first `count` rows."""
@@ -45,6 +46,7 @@ class _Store:
         twin.between = twin.residual if same else _padded(self.between, (size, size))
         twin.read = _padded(self.read, (len(self.read), size))
         twin.modal = _padded(self.modal, (len(self.modal), size))
+        twin.near = None if self.near is None else _padded(self.near, (size, size))
         return twin
 
 
@@ -59,6 +61,8 @@ class ResponseRow(NamedTuple):
         Displacement of all rows per force on the new one, m/N.
     at_readers : ndarray, shape (r, d)
     shape : ndarray, shape (modes, d)
+    near : ndarray, shape ((n + 1) d, d), or None
+        Of `static`, what the mesh does not show.
     """
 
     nodes: Index
@@ -67,6 +71,7 @@ class ResponseRow(NamedTuple):
     static: Vector
     at_readers: Vector
     shape: Vector
+    near: Vector | None = None
 
 
 class Reading(NamedTuple):
@@ -163,6 +168,13 @@ class ResponseTable:
         size = self.compliance.dimension * self.count
         return self._store.residual[:size, :size]
 
+    def beyond_mesh(self, forces: Vector) -> Vector:
+        """Return of the displacement by static forces (n, d) what the mesh does not show."""
+        if self._store.near is None:
+            return np.zeros_like(forces)
+        size = forces.size
+        return np.asarray(self._store.near[:size, :size] @ forces.ravel()).reshape(forces.shape)
+
     def at_readers(self) -> Vector:
         """Static displacement of the readers per force on the rows, (r, n d), m/N.
 
@@ -236,6 +248,11 @@ class ResponseTable:
         twin.nodes, twin.weights, twin.starts = row.nodes, row.weights, row.starts
         store.length = count + 1
         own, wide = slice(d * count, d * count + d), d * (count + 1)
+        if row.near is not None:
+            if store.near is None:
+                store.near = np.zeros_like(store.residual)
+            store.near[:wide, own] = row.near
+            store.near[own, :wide] = row.near.T
         residual, at_readers = row.static, row.at_readers
         modes = self.modes
         if modes is not None:
