@@ -75,9 +75,10 @@ class Simulator:
         coupling = Coupling(self._model, disc_radius(scene))
         laws = Laws(scene)
         near = NearField(scene) if coupling.radius > scene.needle.radius else None
-        layer = TrackLayer(coupling, laws, empty, scene.solver.track_spacing, near)
-        self._contact_laws = Contact(scene, layer, laws)
         self._markers = np.array(scene.markers, dtype=float).reshape(-1, 3)
+        spacing = scene.solver.track_spacing
+        layer = TrackLayer(coupling, laws, empty, spacing, near, self._markers)
+        self._contact_laws = Contact(scene, layer, laws)
         self._own_step = scene.solver.time_step if scene.solver.dynamics == "newmark" else None
         self._start = self._initial()
         self._state = self._start

@@ -197,6 +197,8 @@ class TrackLayer:
         h_t, m.
     near : NearField, optional
         What the mesh does not show about the needle.
+    read : ndarray, shape (m, d), optional
+        Where the readers of the table are, m.
     """
 
     def __init__(
@@ -206,8 +208,10 @@ class TrackLayer:
         empty: ResponseTable,
         spacing: float,
         near: NearField | None = None,
+        read: Vector | None = None,
     ) -> None:
         self.coupling, self.laws, self.near = coupling, laws, near
+        self._read = np.empty((0, 3)) if read is None else read
         none = np.empty(0)
         points = np.empty((0, empty.compliance.dimension))
         self._empty = Track(spacing, points, none, none, empty, points)
@@ -313,6 +317,10 @@ class TrackLayer:
             assert ahead.point is not None and ahead.heading is not None
             row = table.row(ahead.footprint, known)
             row = self._completed(row, track.points, ahead.point, ahead.heading)
+            if self.near is not None and len(self._read):
+                last = track.points[-1]
+                read = self.near.at(self._read, last, ahead.point, 2 * ahead.point - last)
+                row = row._replace(at_readers=row.at_readers + read, near_read=read)
             return replace(track, ahead=ahead._replace(row=row))
         known = (*known, table.column(ahead.footprint, len(known)))
         return replace(track, ahead=ahead._replace(columns=known))

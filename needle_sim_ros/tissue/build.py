@@ -25,7 +25,7 @@ from needle_sim_ros.tissue.near_field import disc_radius
 from needle_sim_ros.tissue.newmark import FullNewmark, NewmarkRule, effective_matrix
 from needle_sim_ros.tissue.ordering import unknowns_order
 from needle_sim_ros.tissue.plan import plane_points as plane_points
-from needle_sim_ros.tissue.plan import beside, touched
+from needle_sim_ros.tissue.plan import prepared
 from needle_sim_ros.tissue.reduced import ReducedNewmark, lowest_modes
 
 Progress = Callable[[int, int], None]
@@ -119,12 +119,12 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
     _, along, _ = spacings(scene)
     tile = (2.2 * disc_radius(scene),) * (scene.dimension - 1) + (4 * along,)
     center = plane_points(planned_path(scene).entry, scene.dimension)[0]
-    planned = touched(scene, model)
+    planned, groups = prepared(scene, model)
     kind = NodalCompliance if _worth_keeping(model, planned) else DirectCompliance
     compliance = kind(model, factor, readers, tile, center)
     modes, cached = _prepared(model, factor, compliance, planned, began, progress)
     kept = not isinstance(compliance, DirectCompliance)
-    about = Beside(compliance, beside(scene, model, planned) if kept else [])
+    about = Beside(compliance, groups if kept else [])
     dynamics: Dynamics
     if full:
         dynamics = FullNewmark(model, factor, compliance, rule)

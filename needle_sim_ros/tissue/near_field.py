@@ -25,6 +25,14 @@ _REACH = 6.0
 # points of Gauss's rule over the distances in a disc, and over an eighth of a spacing
 _ON_DISC, _ON_PIECE = 200, 6
 _PIECES = 8  # to a spacing
+# places on a side of a hat, from its point, and what they weigh
+_GAUSS, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(2)
+_SHARES = 0.5 * (_GAUSS + 1)
+_HAT_WEIGHT = 0.5 * _GAUSS_WEIGHT * (1 - _SHARES)
+# places on the disc of radius 1 with its moments up to the fifth
+_RING = np.pi / 3 * np.arange(6)
+_AROUND = np.column_stack([np.cos(_RING), np.sin(_RING)])
+_DISC = (np.sqrt(_SHARES)[:, None, None] * _AROUND).reshape(-1, 2)
 
 
 def disc_radius(scene: Scene) -> float:
@@ -124,6 +132,41 @@ class NearField:
         added[first:] = across + (along - aside)[:, None, None] * apart[:, :, None] * apart[:, None]
         return added.reshape(-1, 3)
 
+    def at(self, places: Vector, before: Vector, point: Vector, after: Vector) -> Vector:
+        """Return what is added to the response of other places to a force on a track point.
+
+        Parameters
+        ----------
+        places : ndarray, shape (m, 3)
+            m.
+        before, point, after : ndarray, shape (3,)
+            The point and its neighbours on the track, m.
+
+        Returns
+        -------
+        ndarray, shape (3 m, 3)
+            m/N.
+        """
+        added = np.zeros((len(places), 3, 3))
+        close = np.flatnonzero(((places - point) ** 2).sum(axis=1) < (_REACH * self.wide) ** 2)
+        if not len(close):
+            return added.reshape(-1, 3)
+        sides = np.array([before, after]) - point
+        along = (point + _SHARES[:, None, None] * sides).reshape(-1, 3)
+        weights = np.repeat(_HAT_WEIGHT, 2 * len(_DISC)) / len(_DISC)
+        disc = _DISC @ _normals(sides[1])
+        factor, bulk = self._elastic_between(np.vstack([places[close], point]))
+        summed, outer = np.zeros(len(close)), np.zeros((len(close), 3, 3))
+        for radius, sign in ((self._radius, 1.0), (self.wide, -1.0)):
+            d = places[close][:, None] - (along[:, None] + radius * disc).reshape(-1, 3)
+            square = (d * d).sum(axis=2)
+            share = sign * weights / np.sqrt(square)
+            summed += share.sum(axis=1)
+            outer += (d * (share / square)[:, :, None]).transpose(0, 2, 1) @ d
+        added[close] = (factor * bulk * summed)[:, None, None] * np.eye(3)
+        added[close] += factor[:, None, None] * outer
+        return added.reshape(-1, 3)
+
     def turned(
         self, points: Vector, forces: Vector, place: Vector, direction: Vector, length: float
     ) -> Vector:
@@ -157,6 +200,12 @@ class NearField:
         across = factor * (bulk * kelvin[:, 0] + kelvin[:, 1])
         return across, factor * (bulk * kelvin[:, 0] + kelvin[:, 2])
 
+    def _elastic_between(self, places: Vector) -> Vector:
+        """Return the constants of Kelvin's solution from the last place to others, (2, n - 1)."""
+        material = self._material(places.T)
+        own = _elastic(material.lame, material.shear)
+        return np.asarray(0.5 * (own[:, :-1] + own[:, -1:]))
+
     def _entry(self, point: Vector, direction: Vector) -> Vector:
         """Return what is added for a cross-section in the surface, (3, 3), m/N.
 
@@ -175,6 +224,14 @@ def _elastic(lame: Vector, shear: Vector) -> Vector:
     """Return 1 / (16 pi G (1 - nu)) and 3 - 4 nu, shape (2, n)."""
     ratio = lame / (2 * (lame + shear))
     return np.array([1 / (16 * math.pi * shear * (1 - ratio)), 3 - 4 * ratio])
+
+
+def _normals(direction: Vector) -> Vector:
+    """Return two unit vectors perpendicular to a direction and to each other, (2, 3)."""
+    x, y, z = (direction / np.linalg.norm(direction)).tolist()
+    first = [1 - x * x, -x * y, -x * z] if abs(x) < 0.8 else [-x * y, 1 - y * y, -y * z]
+    a, b, c = (part / math.hypot(*first) for part in first)
+    return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
 
 
 def _hat(offset: Vector, spacing: float) -> Vector:

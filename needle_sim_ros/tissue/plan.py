@@ -16,6 +16,8 @@ from needle_sim_ros.tissue.near_field import disc_radius
 # unknowns whose responses to each other are kept about a path in 3D, 0.4 GB, and how far from
 # it, m, the base may move or turn the needle then
 _AFFORDED = 7_200
+# ... of these the set-up makes so many itself, in some five seconds
+_AT_ONCE = 4_000
 _ROOM = (1.5e-3, 3.0e-3, 5.0e-3)
 # how far aside a needle steers, least and most, in parts of its depth times its deviation
 _SWERVE = (0.25, 1.5)
@@ -46,6 +48,18 @@ def touched(scene: Scene, model: TissueModel) -> Index:
     aside = plane_points(turned[:, 0], scene.dimension)[0]
     places = (center[:, None, :] + across[:, :, None] * aside).reshape(-1, scene.dimension)
     return _nodes_at(model, places)
+
+
+def prepared(scene: Scene, model: TissueModel) -> tuple[Index, list[Index]]:
+    """Return the nodes to prepare before the first tick, and those to prepare beside the ticks.
+
+    The planned path, and what of :func:`beside` is made in seconds; then the rest of that.
+    """
+    planned = touched(scene, model)
+    groups = beside(scene, model, planned)
+    while groups and model.dimension * (len(planned) + len(groups[0])) <= _AT_ONCE:
+        planned = np.union1d(planned, groups.pop(0))
+    return planned, groups
 
 
 def beside(scene: Scene, model: TissueModel, planned: Index) -> list[Index]:
