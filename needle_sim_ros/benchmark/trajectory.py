@@ -19,6 +19,9 @@ from needle_sim_ros.simulator import Simulator
 
 Array = NDArray[np.float64]
 
+# how late the reference may be, in ticks
+_LATE = tuple(part / 8 for part in range(-8, 9) if part)
+
 QUANTITIES = ("tip_deflection", "base_force", "friction_force", "markers")
 
 
@@ -76,7 +79,7 @@ def errors(run: Trajectory, reference: Trajectory) -> Errors:
     tick = float(np.diff(coarse).max())
     run = run.at(common)
     here = reference.at(common)
-    shifted = [here, *(reference.at(common + part * tick) for part in (-1.0, -0.5, 0.5, 1.0))]
+    shifted = [here, *(reference.at(common + part * tick) for part in _LATE)]
     largest, rms, late = {}, {}, {}
     for name, values in run.values.items():
         if values.shape[1] == 0:
