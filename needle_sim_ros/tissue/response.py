@@ -271,6 +271,8 @@ class ResponseTable:
                 store.near_read = np.zeros_like(store.read)
             store.near_read[:, own] = row.near_read
         residual, at_readers = row.static, row.at_readers
+        modes = self.modes
+        if modes is not None:
             store.modal[:, own] = row.shape
             shapes = store.modal[:, :wide]
             moved = modes.static[:, None] * row.shape
