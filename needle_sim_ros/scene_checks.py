@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _STEEPEST = math.radians(75)
 _SAMPLES = 20
+# how much finer than the nodes in 3D a track may be
+_FINER = 3.0
 
 
 def check(scene: Scene) -> None:
@@ -204,7 +206,12 @@ def _solver(scene: Scene) -> None:
             f"must be <= a quarter of needle.length, {scene.needle.length / 4:g}",
         )
     along = mesh.spacing_along
-    finest = 0.0 if along is None else along / (2 if str(mesh.element).endswith("2") else 1)
+    nodes = 2 if str(mesh.element).endswith("2") else 1
+    finest = (along or 0.0) / nodes
+    wide = (mesh.spacing_across or 0.0) / nodes
+    if scene.dimension == 3 and mesh.file is None and wide > scene.needle.radius:
+        # what the nodes do not show about the needle is added in closed form
+        finest = finest / _FINER if wide >= finest else finest
     if solver.track_spacing < finest * (1 - 1e-9):
         raise SceneError(
             "solver.track_spacing",

@@ -27,6 +27,7 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
 from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, equal_parts, parts_of_step
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
+from needle_sim_ros.tissue.near_field import NearField, disc_radius
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
@@ -71,11 +72,13 @@ class Simulator:
         self.preparation = built.preparation
         empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
         self._empty = empty
-        coupling = Coupling(self._model, scene.needle.radius)
+        coupling = Coupling(self._model, disc_radius(scene))
         laws = Laws(scene)
-        layer = TrackLayer(coupling, laws, empty, scene.solver.track_spacing)
-        self._contact_laws = Contact(scene, layer, laws)
+        near = NearField(scene) if coupling.radius > scene.needle.radius else None
         self._markers = np.array(scene.markers, dtype=float).reshape(-1, 3)
+        spacing = scene.solver.track_spacing
+        layer = TrackLayer(coupling, laws, empty, spacing, near, self._markers)
+        self._contact_laws = Contact(scene, layer, laws)
         self._own_step = scene.solver.time_step if scene.solver.dynamics == "newmark" else None
         self._start = self._initial()
         self._state = self._start
@@ -119,6 +122,18 @@ class Simulator:
             self._dynamics.initial(),
             scene,
         )
+
+    def prepare_beside(self) -> None:
+        """Begin to prepare, beside the ticks, what a needle steered off its plan calls for.
+
+        Worth it in real time: what is not there when a tick needs it, the tick waits for.
+        """
+        self._built.beside.start()
+
+    @property
+    def prepared_beside(self) -> float:
+        """What part of that is prepared, 0 to 1."""
+        return self._built.beside.share
 
     # ------------------------------------------------------------------------- ticking
     @property

@@ -106,7 +106,7 @@ def test_forces_step_at_the_interfaces(runs, name):
     assert borne(0.02, 0.027) == pytest.approx([0.30] * len(borne(0.02, 0.027)), rel=1e-6)
     assert max(borne(0.035, 0.039)) == pytest.approx(0.45, rel=1e-6)
     assert max(borne(0.045, 0.058)) == pytest.approx(0.70, rel=1e-6)
-    assert max(o.tip_force for o in going_in if o.insertion_depth < 0.003) > 0.5
+    assert max(o.tip_force for o in seen if o.process.value == "contact") > 0.5
 
 
 def test_tumour_of_the_organ(runs):

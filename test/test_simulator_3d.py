@@ -95,10 +95,14 @@ def test_torque_of_the_contact_forces(deep):
 
 
 def test_markers_are_what_the_field_says(sim):
+    """The mesh's field, and what a needle thinner than the cells does beyond it."""
     observation = inserted(sim, 60)
     where = np.array(SCENE["markers"])
+    contact = sim.snapshot().contact
+    beyond = contact.track.table.read_beyond_mesh(contact.forces).reshape(-1, 3)
+    assert np.abs(beyond).max() > 1e-6
     np.testing.assert_allclose(
-        sim.tissue_displacement(where), observation.marker_displacements, atol=1e-12
+        sim.tissue_displacement(where) + beyond, observation.marker_displacements, atol=1e-12
     )
     assert np.linalg.norm(observation.marker_displacements, axis=1).min() > 1e-6
     assert np.isnan(sim.tissue_displacement([[0.0, 0.031, -0.01]])).all()
@@ -196,7 +200,7 @@ def test_a_layer_gives_the_step_of_fig_3():
         depth.append(observation.insertion_depth)
         force.append(-observation.base_force[2])
     depth, force = np.array(depth), np.array(force)
-    above = (depth > 6e-3) & (depth < 0.0145)
+    above = (depth > 8e-3) & (depth < 0.0145)  # the needle snaps in by 6.8 mm
     below = (depth > 0.025) & (depth < 0.038)
     slope_above, offset_above = np.polyfit(depth[above], force[above], 1)
     slope_below, offset_below = np.polyfit(depth[below], force[below], 1)

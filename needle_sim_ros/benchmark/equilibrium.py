@@ -77,7 +77,10 @@ def residuals(simulator: Simulator, before: Snapshot | None = None) -> Residuals
     if contact.track is None:
         return Residuals()
     field = simulator._dynamics.everywhere(state.tissue, contact.track.table, contact.forces)
-    sampled = contact.track.table.sample(field)
+    table, loads = contact.track.table, contact.forces
+    if isinstance(simulator._dynamics, ReducedNewmark):
+        loads = state.tissue.filtered
+    sampled = table.sample(field) + table.beyond_mesh(loads)
     largest = max(float(np.abs(sampled).max(initial=0.0)), _TINY)
     condensed = float(np.abs(contact.moved - sampled).max(initial=0.0)) / largest
     if largest < 1e-15:

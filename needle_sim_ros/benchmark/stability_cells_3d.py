@@ -36,6 +36,7 @@ def _turned(x: float, y: float, z: float) -> Move:
 
 _MOTIONS: dict[str, tuple[Move, ...]] = {
     "rolled bevel": (_IN, _ON, _HOLD),
+    "on after a hold": (_IN, _HOLD, _ON, _HOLD),
     "spin": (_IN, _DRILL, _turned(0, 0, math.pi), _turned(0, 0, -0.5 * math.pi), _HOLD),
     "lateral": (_IN, _aside(1e-3, 0), _aside(0, 1e-3), _aside(-2e-3, -1e-3), _HOLD, _ON),
     "reversals": (_IN, _along(4e-3), _along(-2e-3), _along(1e-3), _along(-4e-3), _HOLD),

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 # time steps, in those of the scene, that runs are compared over
 _LONGEST = 4
+# how late the reference may be, in ticks
+_LATE = tuple(part / 8 for part in range(-8, 9) if part)
 
 QUANTITIES = ("tip_deflection", "base_force", "friction_force", "markers")
 
@@ -79,7 +81,7 @@ def errors(run: Trajectory, reference: Trajectory) -> Errors:
     tick = float(np.diff(coarse).max())
     run = run.at(common)
     here = reference.at(common)
-    shifted = [here, *(reference.at(common + part * tick) for part in (-1.0, -0.5, 0.5, 1.0))]
+    shifted = [here, *(reference.at(common + part * tick) for part in _LATE)]
     largest, rms, late = {}, {}, {}
     for name, values in run.values.items():
         if values.shape[1] == 0:

@@ -57,7 +57,7 @@ class TrackGrowth:
         direction = self._cut(step, bent)
         place = self._layer.coupling.turning(track.points[0], direction, self._bevel)
         reading = track.table.reading(added_up(place))
-        heading = _pulled_back(step, track, direction, forces, reading)
+        heading = self._pulled_back(step, track, direction, forces, reading)
         return self._layer.extend(self._layer.aim(track, heading))
 
     def grown(
@@ -90,7 +90,7 @@ class TrackGrowth:
                 if passed < AIMED:
                     return track
                 direction = self._cut(step, bent)
-                heading = _pulled_back(step, track, direction, forces, ahead.turning)
+                heading = self._pulled_back(step, track, direction, forces, ahead.turning)
                 aimed = layer.aim(track, heading, self._foresight)
                 assert aimed.ahead is not None and aimed.ahead.point is not None
                 if not self._in_tissue(aimed.ahead.point):
@@ -127,16 +127,24 @@ class TrackGrowth:
         deep = -2 * self._half[-1] <= point[-1] <= 0
         return bool(deep and (np.abs(point[:-1]) <= self._half[:-1]).all())
 
+    def _pulled_back(
+        self,
+        step: Step,
+        track: Track,
+        direction: Vector,
+        forces: Vector,
+        turning: Reading | None,
+    ) -> Vector:
+        """Return the direction of the next piece of track, in the undeformed tissue.
 
-def _pulled_back(
-    step: Step, track: Track, direction: Vector, forces: Vector, turning: Reading | None
-) -> Vector:
-    """Return the direction of the next piece of track, in the undeformed tissue.
-
-    The direction in space is pulled back by how the tissue ahead of the tip is turned,
-    over the bevel length: a length of the needle, not of the mesh.
-    """
-    if turning is None or not forces.any():
-        return direction
-    material = direction - step.sample(track.table, forces, turning)
-    return np.asarray(material / np.linalg.norm(material))
+        The direction in space is pulled back by how the tissue ahead of the tip is turned,
+        over the bevel length: a length of the needle, not of the mesh.
+        """
+        if turning is None or not forces.any():
+            return direction
+        material = direction - step.sample(track.table, forces, turning)
+        near = self._layer.near
+        if near is not None and track.count > 1:
+            place, along = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
+            material = material - near.turned(track.points, forces, place, along, self._bevel)
+        return np.asarray(material / np.linalg.norm(material))

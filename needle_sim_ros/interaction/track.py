@@ -19,6 +19,7 @@ from needle_sim_ros.interaction.coupling import Coupling, Shares, added_up
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.near_field import NearField
 from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable
 
 # how far ahead of the tip responses are prepared: track spacings, and at least so many m
@@ -194,12 +195,23 @@ class TrackLayer:
         Without rows.
     spacing : float
         h_t, m.
+    near : NearField, optional
+        What the mesh does not show about the needle.
+    read : ndarray, shape (m, d), optional
+        Where the readers of the table are, m.
     """
 
     def __init__(
-        self, coupling: Coupling, laws: Laws, empty: ResponseTable, spacing: float
+        self,
+        coupling: Coupling,
+        laws: Laws,
+        empty: ResponseTable,
+        spacing: float,
+        near: NearField | None = None,
+        read: Vector | None = None,
     ) -> None:
-        self.coupling, self.laws = coupling, laws
+        self.coupling, self.laws, self.near = coupling, laws, near
+        self._read = np.empty((0, 3)) if read is None else read
         none = np.empty(0)
         points = np.empty((0, empty.compliance.dimension))
         self._empty = Track(spacing, points, none, none, empty, points)
@@ -207,7 +219,17 @@ class TrackLayer:
     def touch(self, entry: Vector, direction: Vector) -> Track:
         """Start with the cross-section at the entry, perpendicular to a unit direction."""
         row = self._empty.table.row(self.coupling.section(entry, direction))
+        row = self._completed(row, self._empty.points, entry, direction)
         return self._empty._with(entry, row, self.laws)
+
+    def _completed(
+        self, row: ResponseRow, points: Vector, point: Vector, direction: Vector
+    ) -> ResponseRow:
+        """Add what the mesh does not show to a row."""
+        if self.near is None:
+            return row
+        near = self.near.row(points, point, direction)
+        return row._replace(static=row.static + near, near=near)
 
     def foresee(self, track: Track, bevel: float) -> Track:
         """Find out what tells how the tissue is turned at the middle of the last segment.
@@ -292,7 +314,14 @@ class TrackLayer:
         assert ahead is not None and ahead.footprint is not None
         known = ahead.columns
         if len(known) == table.compliance.dimension:
-            return replace(track, ahead=ahead._replace(row=table.row(ahead.footprint, known)))
+            assert ahead.point is not None and ahead.heading is not None
+            row = table.row(ahead.footprint, known)
+            row = self._completed(row, track.points, ahead.point, ahead.heading)
+            if self.near is not None and len(self._read):
+                last = track.points[-1]
+                read = self.near.at(self._read, last, ahead.point, 2 * ahead.point - last)
+                row = row._replace(at_readers=row.at_readers + read, near_read=read)
+            return replace(track, ahead=ahead._replace(row=row))
         known = (*known, table.column(ahead.footprint, len(known)))
         return replace(track, ahead=ahead._replace(columns=known))
 

@@ -82,6 +82,7 @@ class Diagnostics:
             "solves": str(plant.statistics.solves),
             "failed_ticks": str(plant.failed_ticks),
             "waits_for_solves": str(plant.waits),
+            "prepared_beside_the_plan": f"{plant.prepared_beside:.0%}",
             "factorization": plant.factorization,
             "simulated_time_s": f"{plant.time:.6f}",
         }

@@ -75,6 +75,7 @@ class Plant:
         self.last_observation: Observation | None = None
         self.watch: Callable[[Observation, Motion], object] | None = None  # told of every tick
         self._simulator = Simulator(scene)
+        self._simulator.prepare_beside()
         encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
         motions = channels.motion_encoders(naming.tissue_frame)
         self._encoders = tuple(encoders.items())
@@ -95,6 +96,11 @@ class Plant:
     def waits(self) -> int:
         """Times that a tick waited for a solve of the tissue."""
         return self._simulator.statistics.waits
+
+    @property
+    def prepared_beside(self) -> float:
+        """What part of the tissue about the planned path is prepared, 0 to 1."""
+        return self._simulator.prepared_beside
 
     @property
     def factorization(self) -> str:

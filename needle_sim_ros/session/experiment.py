@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from needle_sim_ros.errors import SceneError, SessionError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.session.attached_mesh import recorded_scene
 from needle_sim_ros.session.motion import Motion
 from needle_sim_ros.session.reader import Session
 from needle_sim_ros.session.replay import Tick, replay_ticks
@@ -78,6 +79,8 @@ class Experiment:
         ``force``, ``torque``, ``markers``, ``tip``: those that there are.
     scene_text : str
         The scene in the bag; empty when there is none.
+    mesh : (str, bytes) or None
+        Name and bytes of its mesh file, where the bag holds it.
     start : tuple or None
         Position and quaternion of the base at the start, when not the scene's.
     markers : ndarray (m, 3) or None
@@ -93,6 +96,7 @@ class Experiment:
     motions: list[Motion]
     measured: Mapping[str, Measured]
     scene_text: str = ""
+    mesh: tuple[str, bytes] | None = field(default=None, repr=False)
     start: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     markers: Vector | None = None
     begin: int = 0
@@ -113,7 +117,7 @@ class Experiment:
         if given is None:
             if not self.scene_text:
                 raise SessionError(f"{self.name}: the bag holds no scene: give one with --scene")
-            given = Scene.from_yaml(self.scene_text)
+            given = recorded_scene(self.scene_text, self.mesh)
         if self.markers is not None:
             given = given.with_changes({"markers": self.markers.tolist()})
         return given if self.start is None else begun_at(given, *self.start)
@@ -201,6 +205,7 @@ def of_session(session: Session, name: str = "") -> Experiment:
         motions=[tick.motion for tick in chosen],
         measured=_outputs(session.series, len(chosen) * period, begin == 0 and len(starts) == 2),
         scene_text=session.scene_text,
+        mesh=session.mesh,
         begin=first,
         notes=tuple(notes),
         recorded=session.series,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.session.attached_mesh import attached_mesh, recorded_scene
 from needle_sim_ros.session.content import Content, read_content
 from needle_sim_ros.session.experiment import Experiment, of_session
 from needle_sim_ros.session.imported import imported_mapping, is_imported
@@ -74,11 +75,12 @@ def read_experiment(path: str | Path, mapping: Mapping | None, scene: Scene | No
             f"{path}: no command topic: it is no session of needle_sim, so say which topic moves"
             f" the base: --topic base_pose:=NAME; its topics: {', '.join(there)}"
         )
-    text = next((c.attachments[SCENE_FILE].decode() for c in contents if _has_scene(c)), "")
+    holder = next((c.attachments for c in contents if _has_scene(c)), {})
+    text, mesh = holder.get(SCENE_FILE, b"").decode(), attached_mesh(holder)
     if scene is None:
         if not text:
             raise SessionError(f"{path}: the bag holds no scene: give one with --scene")
-        scene = Scene.from_yaml(text)
+        scene = recorded_scene(text, mesh)
     data = {role: read_topic(contents, role, topic) for role, topic in roles.items()}
     times, notes = _times(data, roles, mapping.clock)
     begin = int(times[COMMAND][0])
@@ -91,6 +93,7 @@ def read_experiment(path: str | Path, mapping: Mapping | None, scene: Scene | No
         motions=motions,
         measured={},
         scene_text=text,
+        mesh=mesh,
         start=start,
         begin=int(data[COMMAND].log[0]),
         notes=(*notes, *more),

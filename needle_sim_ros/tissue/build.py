@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Region, Scene
+from needle_sim_ros.tissue.beside import Beside
 from needle_sim_ros.tissue.cache import Cache, key_of
 from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.direct import DirectCompliance
@@ -20,10 +21,11 @@ from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.libraries import Choice, choose
 from needle_sim_ros.tissue.mesh import Index, planned_path, spacings
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.near_field import disc_radius
 from needle_sim_ros.tissue.newmark import FullNewmark, NewmarkRule, effective_matrix
 from needle_sim_ros.tissue.ordering import unknowns_order
 from needle_sim_ros.tissue.plan import plane_points as plane_points
-from needle_sim_ros.tissue.plan import touched
+from needle_sim_ros.tissue.plan import prepared
 from needle_sim_ros.tissue.reduced import ReducedNewmark, lowest_modes
 
 Progress = Callable[[int, int], None]
@@ -74,6 +76,7 @@ class BuiltTissue:
     factor: Factor
     dynamics: Dynamics
     preparation: Preparation
+    beside: Beside
 
 
 def fixed_parts(scene: Scene) -> dict[str, object]:
@@ -114,12 +117,14 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
     empty = sp.csr_array((0, len(model.free)))
     readers = model.sampling(markers) if len(markers) else empty
     _, along, _ = spacings(scene)
-    tile = (2.2 * scene.needle.radius,) * (scene.dimension - 1) + (4 * along,)
+    tile = (2.2 * disc_radius(scene),) * (scene.dimension - 1) + (4 * along,)
     center = plane_points(planned_path(scene).entry, scene.dimension)[0]
-    planned = touched(scene, model)
+    planned, groups = prepared(scene, model)
     kind = NodalCompliance if _worth_keeping(model, planned) else DirectCompliance
     compliance = kind(model, factor, readers, tile, center)
     modes, cached = _prepared(model, factor, compliance, planned, began, progress)
+    kept = not isinstance(compliance, DirectCompliance)
+    about = Beside(compliance, groups if kept else [])
     dynamics: Dynamics
     if full:
         dynamics = FullNewmark(model, factor, compliance, rule)
@@ -129,7 +134,7 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
         dynamics = QuasiStatic(model, factor, compliance)
     spent = time.perf_counter() - began
     preparation = Preparation(library, len(model.free), cached, spent)
-    return BuiltTissue(model, factor, dynamics, preparation)
+    return BuiltTissue(model, factor, dynamics, preparation, about)
 
 
 def _prepared(

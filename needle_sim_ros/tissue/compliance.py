@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import RLock
 
 import numpy as np
 import scipy.sparse as sp
@@ -77,6 +78,7 @@ class NodalCompliance:
         self._bounds = np.searchsorted(self._tile_of[self._order], np.arange(tiles + 1))
         self._rank = np.arange(tiles)
         self._slot = np.full(model.nodes, -1, dtype=np.intp)
+        self._ready = np.zeros(model.nodes, dtype=bool)  # its responses are there
         self._kept = np.empty(0, dtype=np.intp)
         self._first = np.full(tiles, -1, dtype=np.intp)  # slot of a tile's first node
         self._read_to = np.zeros(tiles, dtype=np.intp)  # slots that its responses were read at
@@ -88,6 +90,7 @@ class NodalCompliance:
         self._worker: ThreadPoolExecutor | None = None
         self._whole: dict[int, Vector] = {}  # responses of tiles off the plan, everywhere
         self._preparing = False
+        self._merging = RLock()  # the worker writes responses too
         self.waits = 0  # times that somebody had to wait for a solve
 
     @property
@@ -131,7 +134,7 @@ class NodalCompliance:
 
     def _plan(self, nodes: Index) -> Index:
         planned = np.unique(self._tile_of[nodes])
-        self._rank[planned] -= len(self._rank)
+        self._rank[planned] -= 2 * len(self._rank)
         return planned
 
     def _invert(self, planned: Index) -> None:
@@ -146,12 +149,39 @@ class NodalCompliance:
         self._blocks[np.ix_(held, held)] = block[np.ix_(where, where)]
         self._read[:, held] = self.reader_matrix[:, last] @ block[:, where]
         self._read_to[planned] = len(self._kept)
+        self._ready[self._kept] = True
 
     def _take(self, planned: Index) -> None:
         for tile in planned:
             self._keep(int(tile))
         # with room for what leaves the plan: to move these numbers takes a tick's time
         self._reserve(self._d * (len(self._kept) + _ROOM))
+
+    def set_aside(self, groups: list[Index]) -> list[int]:
+        """Give nodes beside the plan their places before they are computed; return the tiles.
+
+        Their ranks follow those of the plan, in the order of the groups: the solve of each is
+        read where it will be wanted, whenever it is made.
+        """
+        tiles: list[int] = []
+        for nodes in groups:
+            for tile in np.unique(self._tile_of[nodes]):
+                if self._first[tile] < 0:
+                    self._rank[tile] = len(tiles) - len(self._rank)
+                    tiles.append(int(tile))
+                    self._keep(int(tile))
+        self._reserve(self._d * (len(self._kept) + _ROOM))
+        return tiles
+
+    def prepare_tile(self, tile: int) -> None:
+        """Compute the responses of a tile that was set aside, unless they are there.
+
+        May run beside the ticks.
+        """
+        if not self._ready[self._members(tile)[0]]:
+            response = self._responses(tile)
+            with self._merging:
+                self._merge(tile, response)
 
     def tiles(self, nodes: Index) -> Index:
         """Return all nodes of the tiles that hold some, tile by tile."""
@@ -175,6 +205,7 @@ class NodalCompliance:
         self._take(planned)
         self._blocks[:size, :size], self._read[:, :size] = blocks, read
         self._read_to[planned] = len(self._kept)
+        self._ready[self._kept] = True
         if self._factor.inverts:
             unknowns = self._unknowns(self._kept)
             self._factor.put_last(np.union1d(unknowns[unknowns >= 0], self.reader_matrix.indices))
@@ -182,19 +213,20 @@ class NodalCompliance:
 
     def ensure(self, nodes: Index, progress: Callable[[int, int], None] | None = None) -> int:
         """Compute the responses of the tiles of `nodes` that are missing; return how many."""
-        slots = self._slot.take(nodes)
-        if len(slots) == 0 or int(slots.min()) >= 0:
+        if self._ready.take(nodes).all():
             return 0
-        tiles = np.unique(self._tile_of[nodes[slots < 0]])
-        rank = self._rank[self._tile_of[self._kept]].max(initial=-len(self._rank))
-        self._lacking = self._lacking or bool((self._rank[tiles] < rank).any())
-        for tile in tiles:
-            self._keep(int(tile))
-        self._reserve(self._d * len(self._kept))
-        for done, tile in enumerate(tiles):
-            self._solve(int(tile))
-            if progress is not None:
-                progress(done + 1, len(tiles))
+        with self._merging:
+            tiles = np.unique(self._tile_of[nodes[~self._ready[nodes]]])
+            fresh = tiles[self._first[tiles] < 0]
+            rank = self._rank[self._tile_of[self._kept]].max(initial=-2 * len(self._rank))
+            self._lacking = self._lacking or bool((self._rank[fresh] < rank).any())
+            for tile in fresh:
+                self._keep(int(tile))
+            self._reserve(self._d * len(self._kept))
+            for done, tile in enumerate(tiles):
+                self._solve(int(tile))
+                if progress is not None:
+                    progress(done + 1, len(tiles))
         return len(tiles)
 
     def expect(self, nodes: Index) -> None:
@@ -203,7 +235,7 @@ class NodalCompliance:
         What they are does not depend on when they are computed, nor where. What was
         expected before and has not been begun is given up: the needle went elsewhere.
         """
-        missing = self._slot[nodes] < 0
+        missing = ~self._ready[nodes]
         if not missing.any() and not self._expected:
             return
         tiles = np.unique(self._tile_of[nodes[missing]])
@@ -212,9 +244,13 @@ class NodalCompliance:
                 del self._expected[tile]
         for tile in tiles:
             if int(tile) not in self._expected:
-                if self._worker is None:
-                    self._worker = ThreadPoolExecutor(1, thread_name_prefix="tissue")
-                self._expected[int(tile)] = self._worker.submit(self._responses, int(tile))
+                self._expected[int(tile)] = self.worker().submit(self._responses, int(tile))
+
+    def worker(self) -> ThreadPoolExecutor:
+        """Return the thread that solves beside the ticks."""
+        if self._worker is None:
+            self._worker = ThreadPoolExecutor(1, thread_name_prefix="tissue")
+        return self._worker
 
     def _responses(self, tile: int) -> Vector:
         """Solve for unit forces on a tile's nodes; touches nothing that a tick changes."""
@@ -236,7 +272,10 @@ class NodalCompliance:
 
     def _solve(self, tile: int) -> None:
         """Compute the responses of a tile's nodes at the kept nodes of no higher rank."""
-        nodes, response = self._members(tile), self._response(tile)
+        self._merge(tile, self._response(tile))
+
+    def _merge(self, tile: int, response: Vector) -> None:
+        nodes = self._members(tile)
         slots = np.flatnonzero(self._rank[self._tile_of[self._kept]] <= self._rank[tile])
         rows = self._unknowns(self._kept[slots])
         block = np.where(rows[:, None] >= 0, response[rows], 0.0)
@@ -248,6 +287,7 @@ class NodalCompliance:
         self._blocks[low:high, places] = block.T
         self._read[:, low:high] = self.reader_matrix @ response
         self._read_to[tile] = len(self._kept)
+        self._ready[nodes] = True
 
     def _response(self, tile: int) -> Vector:
         """Return the responses of a tile's nodes everywhere, (free, d k)."""

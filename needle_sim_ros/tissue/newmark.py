@@ -192,7 +192,7 @@ class FullNewmark:
 
     def at_readers(self, state: Motion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""
-        return np.asarray(self._readers @ state.u)
+        return np.asarray(self._readers @ state.u + table.read_beyond_mesh(forces))
 
     def everywhere(self, state: Motion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of all nodes."""

@@ -18,6 +18,8 @@ from needle_sim_ros.tissue.dense import inverse
 from needle_sim_ros.tissue.mesh import Index
 
 _POSITIVE_DEFINITE = 2
+# what part of the unknowns in the inverse's block is as good as all
+_ALL = 0.8
 _FACTORISE, _SOLVE, _RELEASE = 12, 33, -1
 # MKL's numbering of processor branches: its own choice, whatever the memory's alignment
 _ANY_BRANCH, _STRICT = 2, 0x10000
@@ -124,7 +126,11 @@ class Pardiso:
         """
         if len(self._last) == 0:
             return np.zeros((0, 0))
-        marked = np.zeros(self._source.shape[0], dtype=np.int32)
+        size = self._source.shape[0]
+        if len(self._last) > _ALL * size:  # hardly anything to eliminate: Pardiso was seen to crash
+            whole = inverse(np.asfortranarray(self._source.toarray()))
+            return np.asarray(whole[np.ix_(self._last, self._last)])
+        marked = np.zeros(size, dtype=np.int32)
         marked[self._last] = 1
         complement = np.zeros((len(self._last),) * 2)
         matrix = _Matrix(self._source)

@@ -11,11 +11,16 @@ from needle_sim_ros.geometry import Vector, rotation_matrix
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.mesh import Index, planned_path, spacings, steering
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.near_field import disc_radius
 
-# unknowns of a plan in 3D whose inverse is made in some ten seconds, and how far from the
-# path, m, the base may move or turn the needle then
+# unknowns whose responses to each other are kept about a path in 3D, 0.4 GB, and how far from
+# it, m, the base may move or turn the needle then
 _AFFORDED = 7_200
+# ... of these the set-up makes so many itself, in some five seconds
+_AT_ONCE = 4_000
 _ROOM = (1.5e-3, 3.0e-3, 5.0e-3)
+# how far aside a needle steers, least and most, in parts of its depth times its deviation
+_SWERVE = (0.25, 1.5)
 
 
 def plane_points(points: Vector, dimension: int) -> Vector:
@@ -26,48 +31,87 @@ def plane_points(points: Vector, dimension: int) -> Vector:
 
 def touched(scene: Scene, model: TissueModel) -> Index:
     """Return the nodes along the planned path: ticks on it shall wait for no solve."""
-    path = planned_path(scene)
-    if path.depth <= 0:
+    if planned_path(scene).depth <= 0:
         return np.empty(0, dtype=np.intp)
-    spacing = scene.solver.track_spacing
-    depths = np.arange(0.0, path.depth + 2 * spacing, spacing / 2)
-    direction = plane_points(path.direction, scene.dimension)[0]
-    center = plane_points(path.entry, scene.dimension)[0] + depths[:, None] * direction
+    center, depths = _center(scene)
     radius = scene.needle.radius * (1 - 1e-9)
     # to the side to which the bevel steers, with room for what the tissue adds
     tip = scene.needle.tip
     if scene.dimension == 3:
-        return _planned(scene, model, center, depths)
+        own = _drift(scene, depths)
+        return _about(scene, model, center, own, _least(scene))
     drift = 2 * math.tan(tip.deviation_angle) * math.cos(tip.roll) * depths
     start, end = np.minimum(drift, 0.0) - radius, np.maximum(drift, 0.0) + radius
     across = start[:, None] + np.linspace(0.0, 1.0, 13) * (end - start)[:, None]
     quaternion = np.array(scene.base.orientation)
     turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
     aside = plane_points(turned[:, 0], scene.dimension)[0]
-    places = (center[:, None, :] + across[:, :, None] * aside).reshape(-1, len(direction))
+    places = (center[:, None, :] + across[:, :, None] * aside).reshape(-1, scene.dimension)
     return _nodes_at(model, places)
 
 
-def _planned(scene: Scene, model: TissueModel, center: Vector, depths: Vector) -> Index:
-    """Return the nodes of the path in 3D, and of as much about it as can be afforded.
+def prepared(scene: Scene, model: TissueModel) -> tuple[Index, list[Index]]:
+    """Return the nodes to prepare before the first tick, and those to prepare beside the ticks.
+
+    The planned path, and what of :func:`beside` is made in seconds; then the rest of that.
+    """
+    planned = touched(scene, model)
+    groups = beside(scene, model, planned)
+    while groups and model.dimension * (len(planned) + len(groups[0])) <= _AT_ONCE:
+        planned = np.union1d(planned, groups.pop(0))
+    return planned, groups
+
+
+def beside(scene: Scene, model: TissueModel, planned: Index) -> list[Index]:
+    """Return the nodes about a planned path in 3D, likeliest first, as many as are afforded.
 
     A base that is turned before the insertion steers to the other side, one that spins while it
-    drives keeps to the middle, one that is moved aside leaves it by as much: the widest of such
-    plans is taken whose block of the inverse is made in seconds.
+    drives keeps to the middle, one that is moved aside leaves it by as much.
+
+    Parameters
+    ----------
+    scene : Scene
+    model : TissueModel
+    planned : ndarray of int
+        Nodes of :func:`touched`; none of them is returned again.
     """
-    own = 1.5 * math.tan(scene.needle.tip.deviation_angle) * depths
-    from_file = scene.tissue.mesh.file is not None
-    least = scene.solver.track_spacing / 4 if from_file else 0.0
-    nodes = _about(scene, model, center, own, least)
+    path = planned_path(scene)
+    if scene.dimension == 2 or path.depth <= 0:
+        return []
+    center, depths = _center(scene)
+    other, least = -_drift(scene, depths), _least(scene)
+    groups: list[Index] = []
+    known = planned
     for room in (0.0, *_ROOM):
-        wider = [_about(scene, model, center, -own, least)]
         if room:
-            wider.append(_about(scene, model, center, 0.0 * own, room))
-        more = np.unique(np.concatenate([nodes, *wider]))
-        if model.dimension * len(more) > _AFFORDED:
+            nodes = _about(scene, model, center, 0.0 * other, room)
+        else:
+            nodes = _about(scene, model, center, other, least)
+        fresh = np.setdiff1d(nodes, known)
+        known = np.concatenate([known, fresh])
+        if model.dimension * len(known) > _AFFORDED:
             break
-        nodes = more
-    return nodes
+        groups.append(fresh)
+    return groups
+
+
+def _center(scene: Scene) -> tuple[Vector, Vector]:
+    """Return places down the planned path, (n, d), and their depths, (n,), m."""
+    path, spacing = planned_path(scene), scene.solver.track_spacing
+    depths = np.arange(0.0, path.depth + 2 * spacing, spacing / 2)
+    direction = plane_points(path.direction, scene.dimension)[0]
+    entry = plane_points(path.entry, scene.dimension)[0]
+    return entry + depths[:, None] * direction, depths
+
+
+def _drift(scene: Scene, depths: Vector) -> Vector:
+    """Return how far to the steered side the needle may be at depths, (n,), m."""
+    return np.asarray(_SWERVE[1] * math.tan(scene.needle.tip.deviation_angle) * depths)
+
+
+def _least(scene: Scene) -> float:
+    """Return what is left free about the needle where cells are of any arrangement, m."""
+    return 0.0 if scene.tissue.mesh.file is None else scene.solver.track_spacing / 4
 
 
 def _about(scene: Scene, model: TissueModel, center: Vector, drift: Vector, room: float) -> Index:
@@ -80,7 +124,7 @@ def _about(scene: Scene, model: TissueModel, center: Vector, drift: Vector, room
     center : ndarray, shape (n, 3)
         Places on the path, m.
     drift : ndarray, shape (n,)
-        How far the needle may have gone at each to the side to which it steers, m.
+        How far at most the needle may have gone at each to the side to which it steers, m.
     room : float
         How much wider than the needle the disc is, m.
     """
@@ -93,10 +137,11 @@ def _swept(scene: Scene, drift: Vector, room: float) -> Vector:
     quaternion = np.array(scene.base.orientation)
     turned = rotation_matrix(quaternion / np.linalg.norm(quaternion))
     step = 0.5 * spacings(scene)[0]
-    moves = np.linspace(0.0, 1.0, 2 + int(np.abs(drift).max() / step)) if drift.any() else [0.0]
+    least, most = _SWERVE[0] / _SWERVE[1], 1.0
+    moves = np.linspace(least, most, 2 + int(np.abs(drift).max() / step)) if drift.any() else [0.0]
     # cells of any arrangement begin and end anywhere beside the path
     from_file = scene.tissue.mesh.file is not None
-    radius = scene.needle.radius * (1 - 1e-9) + room
+    radius = disc_radius(scene) * (1 - 1e-9) + room
     rings = 9 if from_file else max(3, 2 + int(radius / step))
     angles = np.linspace(0.0, 2 * np.pi, 32 if from_file else 4 * rings, endpoint=False)
     ring = np.cos(angles)[:, None] * turned[:, 0] + np.sin(angles)[:, None] * turned[:, 1]

@@ -31,6 +31,9 @@ class _Store:
         self.between = self.residual if modes is None else np.zeros((0, 0))
         self.read = np.zeros((readers, 0))
         self.modal = np.zeros((modes or 0, 0))
+        # of `static` and `read`, what the mesh does not show
+        self.near: Vector | None = None
+        self.near_read: Vector | None = None
 
     def with_room(self, count: int) -> _Store:
         """Return this store, or a wider or separate one that holds its first `count` rows."""
@@ -45,6 +48,9 @@ class _Store:
         twin.between = twin.residual if same else _padded(self.between, (size, size))
         twin.read = _padded(self.read, (len(self.read), size))
         twin.modal = _padded(self.modal, (len(self.modal), size))
+        twin.near = None if self.near is None else _padded(self.near, (size, size))
+        near = self.near_read
+        twin.near_read = None if near is None else _padded(near, (len(near), size))
         return twin
 
 
@@ -59,6 +65,10 @@ class ResponseRow(NamedTuple):
         Displacement of all rows per force on the new one, m/N.
     at_readers : ndarray, shape (r, d)
     shape : ndarray, shape (modes, d)
+    near : ndarray, shape ((n + 1) d, d), or None
+        Of `static`, what the mesh does not show.
+    near_read : ndarray, shape (r, d), or None
+        Of `at_readers` the same.
     """
 
     nodes: Index
@@ -67,6 +77,8 @@ class ResponseRow(NamedTuple):
     static: Vector
     at_readers: Vector
     shape: Vector
+    near: Vector | None = None
+    near_read: Vector | None = None
 
 
 class Reading(NamedTuple):
@@ -163,6 +175,19 @@ class ResponseTable:
         size = self.compliance.dimension * self.count
         return self._store.residual[:size, :size]
 
+    def beyond_mesh(self, forces: Vector) -> Vector:
+        """Return of the displacement by static forces (n, d) what the mesh does not show."""
+        if self._store.near is None:
+            return np.zeros_like(forces)
+        size = forces.size
+        return np.asarray(self._store.near[:size, :size] @ forces.ravel()).reshape(forces.shape)
+
+    def read_beyond_mesh(self, forces: Vector) -> Vector:
+        """Return the same of the displacement at the readers, (r,)."""
+        if self._store.near_read is None:
+            return np.zeros(len(self._store.read))
+        return np.asarray(self._store.near_read[:, : forces.size] @ forces.ravel())
+
     def at_readers(self) -> Vector:
         """Static displacement of the readers per force on the rows, (r, n d), m/N.
 
@@ -236,6 +261,15 @@ class ResponseTable:
         twin.nodes, twin.weights, twin.starts = row.nodes, row.weights, row.starts
         store.length = count + 1
         own, wide = slice(d * count, d * count + d), d * (count + 1)
+        if row.near is not None:
+            if store.near is None:
+                store.near = np.zeros_like(store.residual)
+            store.near[:wide, own] = row.near
+            store.near[own, :wide] = row.near.T
+        if row.near_read is not None:
+            if store.near_read is None:
+                store.near_read = np.zeros_like(store.read)
+            store.near_read[:, own] = row.near_read
         residual, at_readers = row.static, row.at_readers
         modes = self.modes
         if modes is not None:

@@ -38,6 +38,7 @@ def test_a_rate_that_is_not_held_is_said_with_the_figures(cell):
         assert parts == sorted(parts)
     assert int(values["solves"]) > 0
     assert int(values["waits_for_solves"]) >= 0
+    assert values["prepared_beside_the_plan"] == "100%"  # in 2D there is nothing beside it
     assert values["priority"] == "normal"
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from needle_sim_ros.resources import find_mesh
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.session.experiment import of_session
 from needle_sim_ros.session.motion import Motion
 from needle_sim_ros.session.reader import read_session
 from needle_sim_ros.session.writer import SessionWriter
@@ -43,6 +44,11 @@ def test_the_mesh_travels_with_the_session(tmp_path, later):
     session = read_session(tmp_path / "session")
     assert Scene.from_yaml(session.scene_text) == scene
     again = simulated(session.scene())
+    # identification takes the mesh from the session, too, and so does its process
+    identified = of_session(session).scene()
+    assert identified == session.scene()
+    child = Scene.from_yaml(identified.to_yaml())
+    assert Simulator(child).unknowns == Simulator(session.scene()).unknowns
     assert seen[-1].insertion_depth > 2e-3
     for one, other in zip(seen, again, strict=True):
         np.testing.assert_array_equal(one.base_force, other.base_force)
