@@ -24,8 +24,9 @@ from needle_sim_ros.tissue.response import Reading
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
 
-# how far the tip may end from where a step took it to be, in track spacings
-SETTLED = 0.02
+# how far the tip may end from where a step took it to be, and beyond the last point of a track
+# that cannot go on, in track spacings
+SETTLED, _BEYOND = 0.02, 0.5
 # parts of a segment that the tip has passed at each stage; the point is laid at the last
 _FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.68, 0.74, 0.98
 # ... and from there to each further step of it: a footprint that is added up, a component
@@ -94,9 +95,10 @@ class TrackGrowth:
                 aimed = layer.aim(track, heading, self._foresight)
                 assert aimed.ahead is not None and aimed.ahead.point is not None
                 if not self._in_tissue(aimed.ahead.point):
-                    beyond = (passed - 1.0) * track.spacing
-                    if beyond < 0 or (not going_in and beyond <= SETTLED * track.spacing):
-                        return track  # there is room up to the last point
+                    # there is room up to the last point; who holds or draws back may be a
+                    # little beyond it, and must always be able to draw back
+                    if passed < 1.0 or (not going_in and passed < 1.0 + _BEYOND):
+                        return track
                     raise CommandError(
                         f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m"
                     )

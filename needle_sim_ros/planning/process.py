@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -210,6 +211,7 @@ class PlanningProcess:
         self._scene = scene
         self._process: Any = None
         self._connection: Connection | None = None
+        self._lock = threading.Lock()  # of starting and ending: asked and closed by two threads
 
     def ask(self, request: PlanRequest | PredictRequest) -> Any:
         """Return the answer; blocks, without holding the interpreter, until it is there.
@@ -220,11 +222,9 @@ class PlanningProcess:
             What the worker says, or that it has ended.
         """
         try:
-            if self._connection is None:
-                self._start()
-            assert self._connection is not None
-            self._connection.send(request)
-            reply = self._connection.recv()
+            connection = self._started()
+            connection.send(request)
+            reply = connection.recv()
         except (EOFError, OSError):
             self.close()
             raise NeedleSimError("the planning process has ended; ask again") from None
@@ -232,23 +232,28 @@ class PlanningProcess:
             raise reply
         return reply
 
-    def _start(self) -> None:
-        context = get_context("spawn")
-        ours, theirs = context.Pipe()
-        with one_thread_each():
-            self._process = context.Process(
-                target=_serve, args=(theirs, self._scene), daemon=True, name="planning"
-            )
-            self._process.start()
-        theirs.close()  # so that its end is seen here
-        self._connection = ours
+    def _started(self) -> Connection:
+        with self._lock:
+            if self._connection is None:
+                context = get_context("spawn")
+                ours, theirs = context.Pipe()
+                with one_thread_each():
+                    self._process = context.Process(
+                        target=_serve, args=(theirs, self._scene), daemon=True, name="planning"
+                    )
+                    self._process.start()
+                theirs.close()  # so that its end is seen here
+                self._connection = ours
+            return self._connection
 
     def close(self) -> None:
         """End the process, whatever it does."""
-        if self._process is not None:
-            self._process.terminate()
-            self._process.join()
-            self._process.close()
-        if self._connection is not None:
-            self._connection.close()
-        self._process = self._connection = None
+        with self._lock:
+            process, connection = self._process, self._connection
+            self._process = self._connection = None
+        if process is not None:
+            process.terminate()
+            process.join()
+            process.close()
+        if connection is not None:
+            connection.close()
