@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -139,7 +140,12 @@ def unsteady_steps(
 
 
 def check(
-    scene: Scene, contact: ContactState, pose: BasePose, before: Vector, motion: BaseMotion
+    scene: Scene,
+    contact: ContactState,
+    pose: BasePose,
+    position: Vector,
+    before: Vector,
+    motion: BaseMotion,
 ) -> None:
     """Raise CommandError where the base must not go.
 
@@ -149,6 +155,8 @@ def check(
     contact : ContactState
     pose : BasePose
         Before the tick.
+    position : ndarray, shape (3,)
+        Of the base before the tick, m.
     before : ndarray, shape (4,)
         Orientation before the tick.
     motion : BaseMotion
@@ -168,14 +176,20 @@ def check(
         return
     if turned:
         pose = BasePose.of(motion.position, motion.orientation, scene.dimension)
-    kept = (x, z) if scene.dimension == 2 else (x, y, z)
-    away = [a - b for a, b in zip(kept, contact.track.entry, strict=True)]
-    for axis in pose.terms[:-1]:
-        aside = abs(sum(away[i] * c for i, c in axis))
-        if aside > scene.needle.length / 2:
-            raise CommandError(
-                f"the base would be {aside:g} m beside the entry, more than half the needle"
-            )
+    entry = contact.track.entry
+    aside = _aside((x, y, z), pose, entry)
+    # who is that far already may come back
+    if aside > scene.needle.length / 2 and aside > _aside(position.tolist(), pose, entry):
+        raise CommandError(
+            f"the base would be {aside:g} m beside the entry, more than half the needle"
+        )
+
+
+def _aside(position: Sequence[float], pose: BasePose, entry: list[float]) -> float:
+    """Return how far the base is beside the entry, along the axis where it is most, m."""
+    kept = position[::2] if len(entry) == 2 else position
+    away = [a - b for a, b in zip(kept, entry, strict=True)]
+    return max(abs(sum(away[i] * c for i, c in axis)) for axis in pose.terms[:-1])
 
 
 def _check_orientation(quaternion: Vector, dimension: int, touching: bool) -> None:

@@ -175,7 +175,7 @@ class Simulator:
         state = self._state
         dt = self._checked(dt)
         motion = commanded(command, state.position, state.orientation, dt)
-        check(self.scene, state.contact, state.pose, state.orientation, motion)
+        check(self.scene, state.contact, state.pose, state.position, state.orientation, motion)
         contact, tissue, pose = state.contact, state.tissue, state.pose
         route = Route(state.position, state.orientation, pose, motion)
         steps, equal, settling = self._steps(state, motion, dt)

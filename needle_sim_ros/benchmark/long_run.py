@@ -158,16 +158,12 @@ def long_run(
 
 
 def _lifted(simulator: Simulator) -> Observation:
-    """Draw the needle back: along itself, or else straight up; from beside, away."""
-    seen = simulator.observe()
-    axis = rotation_matrix(seen.base_orientation)[:, 2]
-    for velocity in (-0.05 * axis, [0.0, 0.0, 0.05]):
-        try:
-            return simulator.step(BaseCommand(velocity=velocity), _DT)
-        except CommandError:
-            continue
-    way = math.copysign(simulator.scene.tissue.size[0], seen.tip_position[0])
-    return simulator.step(BaseCommand(position=np.add(seen.base_position, [way, 0.0, 0.0])), _DT)
+    """Draw the needle back: along itself, or else straight up."""
+    axis = rotation_matrix(simulator.observe().base_orientation)[:, 2]
+    try:
+        return simulator.step(BaseCommand(velocity=-0.05 * axis), _DT)
+    except CommandError:
+        return simulator.step(BaseCommand(velocity=[0.0, 0.0, 0.05]), _DT)
 
 
 def _against_fresh(old: Simulator) -> float:
