@@ -79,11 +79,11 @@ def random_commands(simulator: Simulator, draw: np.random.Generator) -> Iterator
             if abs(x) > 3e-3:  # back to the middle
                 velocity[0] = -math.copysign(speed, x)
         elif kind == 7:
-            rotation = seen.base_orientation
-            lean = math.atan2(rotation[2], rotation[0])
+            axis = rotation_matrix(seen.base_orientation)[:, 2]
+            lean = math.atan2(-axis[0], -axis[2])
             turning = float(draw.uniform(-0.05, 0.05)) / (ticks * _DT)
-            if abs(lean) > 0.03:
-                turning = -2 * lean / (ticks * _DT)
+            if abs(lean) > 0.06:  # back upright
+                turning = -lean / (ticks * _DT)
         elif kind == 8:
             # about the middle: a random walk would end beside the tissue
             place = [0.5 * x + float(draw.normal(0, 1e-3)), 0.0, z + float(draw.normal(0, 1e-3))]
