@@ -181,8 +181,9 @@ class NearField:
         length : float
             Over which the tissue is turned, m.
         """
-        first = max(0, len(points) - self._lags)
-        points, forces = points[first:], forces[first:]
+        count = min(len(points), len(forces))  # a point laid just now bears nothing yet
+        first = max(0, count - self._lags)
+        points, forces = points[first:count], forces[first:count]
         change = np.zeros(3)
         for end, sign in ((place + length * direction, 1.0), (place, -1.0)):
             lag = np.abs((end - points) @ direction)

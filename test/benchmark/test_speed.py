@@ -71,7 +71,7 @@ def test_quick_goes_as_deep_in_an_eighth_of_the_ticks():
     changes = {**SMALL, "solver.dynamics": "quasi_static"}
     seen = []
     result = speed(Scene.load("gao2016", changes), quick=True, progress=lambda *w: seen.append(w))
-    assert seen[-1] == (18, 18)
+    assert seen[-1] == (16, 16)
     own = next(row for row in result.table if "the scene's own" in row.get("run", ""))
     assert own["run"].startswith("quasi_static")
     assert own["median_inserted_ms"] > 0
