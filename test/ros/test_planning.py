@@ -137,6 +137,7 @@ def test_a_killed_node_leaves_no_process_behind(cell, node_process):
 SPATIAL = {
     "tissue.mesh.spacing_across": 3e-3,
     "tissue.mesh.spacing_along": 8e-3,
+    "tissue.mesh.growth": 3.0,
     "solver.track_spacing": 8e-3,
     "markers": [],
 }
