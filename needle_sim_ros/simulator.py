@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from needle_sim_ros.base_motion import AT_REST, BaseMotion, check, commanded, jumps
 from needle_sim_ros.command import BaseCommand
-from needle_sim_ros.errors import CommandError, SceneError, SolverError
+from needle_sim_ros.coupled_step import Coupled, CoupledStep
+from needle_sim_ros.errors import CommandError, SceneError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
+from needle_sim_ros.interaction.contact import Contact
 from needle_sim_ros.interaction.coupling import Coupling
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
@@ -25,10 +26,10 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
-from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, equal_parts, parts_of_step
+from needle_sim_ros.substeps import Route, equal_parts
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
 from needle_sim_ros.tissue.near_field import NearField, disc_radius
-from needle_sim_ros.tissue.response import Reading, ResponseTable
+from needle_sim_ros.tissue.response import ResponseTable
 
 
 class Snapshot(NamedTuple):
@@ -79,7 +80,15 @@ class Simulator:
         spacing = scene.solver.track_spacing
         layer = TrackLayer(coupling, laws, empty, spacing, near, self._markers)
         self._contact_laws = Contact(scene, layer, laws)
-        self._own_step = scene.solver.time_step if scene.solver.dynamics == "newmark" else None
+        solver = scene.solver
+        self._own_step = solver.time_step if solver.dynamics == "newmark" else None
+        self._stepper = CoupledStep(
+            self._dynamics,
+            self._contact_laws,
+            empty,
+            solver.track_spacing,
+            self._own_step is not None,
+        )
         self._start = self._initial()
         self._state = self._start
         self._observation: Observation | None = None
@@ -176,34 +185,33 @@ class Simulator:
         dt = self._checked(dt)
         motion = commanded(command, state.position, state.orientation, dt)
         check(self.scene, state.contact, state.pose, state.position, state.orientation, motion)
-        contact, tissue, pose = state.contact, state.tissue, state.pose
-        route = Route(state.position, state.orientation, pose, motion)
+        here = Coupled(state.contact, state.tissue, state.pose)
+        route = Route(state.position, state.orientation, state.pose, motion)
         steps, equal, settling = self._steps(state, motion, dt)
         advance, parts, altered = 0.0, 0, False
         for number in range(steps):
-            was = contact.touching, contact.inserted
+            was = here.contact.touching, here.contact.inserted
             halves = 2 if settling else 1
             for half in range(number * halves, (number + 1) * halves):
                 span = half / (halves * steps), (half + 1) / (halves * steps)
-                contact, tissue, pose, moved, count = self._part(
-                    contact, tissue, pose, route, span, dt, equal, settling
-                )
+                here, moved, count = self._stepper.carry_out(here, route, span, dt, equal, settling)
                 advance += moved
                 parts += count
-            altered = was != (contact.touching, contact.inserted)
+            altered = was != (here.contact.touching, here.contact.inserted)
             settling = altered and self._dynamics.settles
+        contact = here.contact
         process = classify(contact.touching, contact.inserted, advance)
         self._state = Snapshot(
             state.time + dt,
             state.ticks + 1,
             motion.position,
             motion.orientation,
-            pose,
+            here.pose,
             None if altered else motion.rate,
             parts,
             process,
             contact,
-            tissue,
+            here.tissue,
             state.scene,
         )
         self._observation = None
@@ -211,54 +219,6 @@ class Simulator:
         self.statistics.waits = self._dynamics.compliance.waits
         self.statistics.tick(time.perf_counter() - began, contact.solves, contact.residual)
         return self.observe()
-
-    def _part(
-        self,
-        contact: ContactState,
-        tissue: Any,
-        pose: BasePose,
-        route: Route,
-        span: tuple[float, float],
-        dt: float,
-        equal: int,
-        settling: bool,
-    ) -> tuple[ContactState, Any, BasePose, float, int]:
-        """Move the tissue on by a part of the tick, and the contact in as many as it takes."""
-        dynamics, (start, end) = self._dynamics, span
-        prediction = dynamics.predict(tissue, settling)
-        spacing, far = self.scene.solver.track_spacing, (end - start) * route.advance
-        if self._own_step is not None:
-            check_way(contact, far, spacing)
-            equal = parts_of_step(contact, (end - start) * route.length, spacing)
-        begun = contact.forces
-
-        def sample(table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
-            change = forces.copy()
-            change[: len(begun)] -= begun[: len(change)]
-            return dynamics.at(tissue, table, forces, change, reading)
-
-        free, advance, count = None, 0.0, 0
-        done, size = start, (end - start) / equal
-        for number in range(equal):
-            for within in ends(contact, size * route.length):
-                share = end if within == 1.0 and number + 1 == equal else 0.0
-                share = share or start + size * (number + within)
-                after = route.at(share)
-                rows: FreeRows = prediction.rows
-                if share != end and self._own_step is not None:
-                    free = free or FreeOnTheWay(rows, contact)
-                    rows = free.at((share - start) / (end - start))
-                step = Step(pose, after, dt * (share - done), rows, sample)
-                contact = self._contact_laws.step(contact, step)
-                advance += step.advance
-                pose, done, count = after, share, count + 1
-        if self._own_step is not None:
-            check_way(contact, far, spacing)
-        table = self._empty if contact.track is None else contact.track.table
-        tissue = dynamics.complete(tissue, prediction, table, contact.forces)
-        if not math.isfinite(float(contact.forces.sum()) + contact.depth):
-            raise SolverError("the tick gave numbers that are not finite")
-        return contact, tissue, pose, advance, count
 
     def _checked(self, dt: float) -> float:
         dt = float(dt)
@@ -280,11 +240,8 @@ class Simulator:
         """
         contact = state.contact
         if self._own_step is None:
-            return (
-                1,
-                equal_parts(self.scene, contact, motion, state.position, state.rate, dt),
-                False,
-            )
+            equal = equal_parts(self.scene, contact, motion, state.position, state.rate, dt)
+            return 1, equal, False
         settling = (contact.inserted or contact.touching) and self._dynamics.settles
         jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)
         return round(dt / self._own_step), 0, jump

@@ -25,7 +25,15 @@ LAYERS = (
     {"scene", "scene_checks"},
     {"tissue", "needle", "protocol"},
     {"interaction"},
-    {"base_motion", "observation", "similarity", "simulator", "statistics", "substeps"},
+    {
+        "base_motion",
+        "coupled_step",
+        "observation",
+        "similarity",
+        "simulator",
+        "statistics",
+        "substeps",
+    },
     {"session", "identify", "planning", "benchmark", "view"},
     {"cli", "commands", "ros"},
 )
