@@ -282,8 +282,7 @@ def _answer_change(one: Trace, other: Trace) -> float:
     worst = 0.0
     for which in range(len(one.answers[-1])):
         largest = max(float(np.abs(answer[which]).max()) for answer in one.answers)
-        if which > 0:  # lengths below a nanometre are rounding
-            largest = max(largest, 1e-9)
+        largest = max(largest, 1e-9)  # a nanonewton or a nanometre is rounding
         if largest > 0:
             apart = float(np.abs(one.answers[-1][which] - other.answers[-1][which]).max())
             worst = max(worst, apart / largest)

@@ -137,7 +137,7 @@ def _frame(source: Source, position: int) -> tuple[int, int]:
 def _record(source: Source, position: int) -> Piece:
     opcode, length = _frame(source, position)
     begin = position + _RECORD.size
-    if opcode == Opcode.CHUNK:
+    if opcode == Opcode.CHUNK or _within(source, position, length):
         return _chunk(source, position, length)
     if begin + length > source.size:
         raise DamageError(CUT_OFF)
@@ -154,6 +154,16 @@ def _record(source: Source, position: int) -> Piece:
     elif opcode >= _PRIVATE and not _stands(source, begin + length):
         raise DamageError("no record begins where one should")
     return Piece(position, begin + length, opcode, content)
+
+
+def _within(source: Source, position: int, length: int) -> bool:
+    """Return whether a record is a chunk by all but its opcode, in which a bit may be wrong."""
+    try:
+        head = ChunkHead.read(source.read(position + _RECORD.size, min(length, HEAD_ROOM)))
+        alike = head.crc != 0 and head.length + head.packed == length
+        return alike and bool(_chunk(source, position, length))
+    except DamageError:
+        return False
 
 
 def _chunk(source: Source, position: int, length: int) -> Piece:

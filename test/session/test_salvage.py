@@ -151,6 +151,22 @@ def test_a_flipped_bit_costs_no_more_than_its_chunk_and_nothing_false_comes_out(
         assert len(found) == len(everything) or result.losses, place
 
 
+def test_a_chunk_is_known_without_its_opcode(whole, known, tmp_path):
+    """Each bit of it flipped: the record is then of another kind, or of none."""
+    data, (everything, _) = bytearray(whole.read_bytes()), known
+    with Source(whole) as source:
+        chunks = [piece for piece in walk(source) if piece.opcode == Opcode.CHUNK]
+    for bit in (0, 1, 2, 3, 4, 7):
+        damaged = bytearray(data)
+        damaged[chunks[5].offset] ^= 1 << bit
+        path = tmp_path / f"{bit}.mcap"
+        path.write_bytes(damaged)
+        result = salvage([path], tmp_path / f"out{bit}")
+        found = set(messages_of(new_file(result.folder)))
+        assert found == everything or result.losses, bit
+        assert bit in (1, 4) or found == everything, bit
+
+
 def test_a_lost_chunk_is_counted(whole, known, tmp_path):
     data, (_, ends) = bytearray(whole.read_bytes()), known
     data[ends[4][0] - 20] ^= 1  # within the last bytes of the fifth chunk's packed messages
