@@ -135,9 +135,12 @@ def _frame(source: Source, position: int) -> tuple[int, int]:
 
 
 def _record(source: Source, position: int) -> Piece:
-    opcode, length = _frame(source, position)
     begin = position + _RECORD.size
-    if opcode == Opcode.CHUNK or _within(source, position, length):
+    alike = _like_chunk(source, position)
+    if alike is not None:
+        return alike
+    opcode, length = _frame(source, position)
+    if opcode == Opcode.CHUNK:
         return _chunk(source, position, length)
     if begin + length > source.size:
         raise DamageError(CUT_OFF)
@@ -148,6 +151,10 @@ def _record(source: Source, position: int) -> Piece:
     elif opcode == Opcode.METADATA:
         if not _metadata_holds(content):
             raise DamageError("a metadata record is damaged")
+    elif opcode == Opcode.MESSAGE_INDEX:
+        # with a wrong length it would swallow the chunks that follow
+        if length < 6 or 6 + _LENGTH.unpack_from(content, 2)[0] != length:
+            raise DamageError("a message index is damaged")
     elif opcode == Opcode.FOOTER:
         if length != 20 or source.read(begin + length, len(MAGIC)) != MAGIC:
             raise DamageError("the file's end is damaged")
@@ -156,14 +163,19 @@ def _record(source: Source, position: int) -> Piece:
     return Piece(position, begin + length, opcode, content)
 
 
-def _within(source: Source, position: int, length: int) -> bool:
-    """Return whether a record is a chunk by all but its opcode, in which a bit may be wrong."""
+def _like_chunk(source: Source, position: int) -> Piece | None:
+    """Return what is a chunk by all but its opcode, in which a bit may be wrong."""
+    head = source.read(position, _RECORD.size + HEAD_ROOM)
+    if len(head) < _RECORD.size or head[0] == Opcode.CHUNK:
+        return None
+    _, length = _RECORD.unpack_from(head)
     try:
-        head = ChunkHead.read(source.read(position + _RECORD.size, min(length, HEAD_ROOM)))
-        alike = head.crc != 0 and head.length + head.packed == length
-        return alike and bool(_chunk(source, position, length))
+        inside = ChunkHead.read(head[_RECORD.size :])
+        if not inside.crc or inside.length + inside.packed != length:
+            return None
+        return _chunk(source, position, length)
     except DamageError:
-        return False
+        return None
 
 
 def _chunk(source: Source, position: int, length: int) -> Piece:
