@@ -110,11 +110,16 @@ def jumps(rate: tuple[float, ...], before: tuple[float, ...] | None, length: flo
     return change > _JUMP * largest
 
 
+def half_spacings(way: float, spacing: float) -> int:
+    """Return into how many parts of half a track spacing a way falls, both m."""
+    return max(1, math.ceil(2 * way / spacing - 1e-9))
+
+
 def static_steps(motion: BaseMotion, position: Vector, spacing: float) -> int:
     """Return into how many steps of half a track spacing, m, a quasi-static tick falls."""
     advance = math.dist(motion.position, position)
     angle = 0.0 if motion.turning is _NO_TURN else math.hypot(*motion.turning)
-    return max(1, math.ceil(2 * advance / spacing - 1e-9), math.ceil(angle / _TURN))
+    return max(half_spacings(advance, spacing), math.ceil(angle / _TURN))
 
 
 def unsteady_steps(

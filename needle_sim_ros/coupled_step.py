@@ -95,8 +95,9 @@ class CoupledStep:
         dynamics, (start, end) = self._dynamics, span
         contact, tissue, pose = state
         prediction = dynamics.predict(tissue, settling)
-        far = (end - start) * route.advance
+        far = 0.0
         if self._remembers:
+            far = (end - start) * route.advance
             check_way(contact, far, self._spacing)
             equal = parts_of_step(contact, (end - start) * route.length, self._spacing)
         begun = contact.forces

@@ -68,3 +68,11 @@ def turn(quaternion: ArrayLike, angular_velocity: ArrayLike, duration: float) ->
     step = from_rotation_vector(np.asarray(angular_velocity, dtype=float) * duration)
     turned = multiply(step, quaternion)
     return np.asarray(turned / np.linalg.norm(turned))
+
+
+def normals(direction: Vector) -> Vector:
+    """Return two unit vectors perpendicular to a unit direction (3,) and to each other, (2, 3)."""
+    x, y, z = direction.tolist()
+    first = [1 - x * x, -x * y, -x * z] if abs(x) < 0.8 else [-x * y, 1 - y * y, -y * z]
+    a, b, c = (part / math.hypot(*first) for part in first)
+    return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from needle_sim_ros.base_motion import (
     MOST_UNSTEADY,
     BaseMotion,
+    half_spacings,
     jumps,
     part_way,
     static_steps,
@@ -48,11 +49,9 @@ class Route:
     ----------
     length : float
         Of the way, m.
-    advance : float
-        Of it along the needle, m.
     """
 
-    __slots__ = ("_motion", "_orientation", "_pose", "_position", "advance", "length")
+    __slots__ = ("_motion", "_orientation", "_pose", "_position", "length")
 
     def __init__(
         self, position: Vector, orientation: Vector, pose: BasePose, motion: BaseMotion
@@ -60,7 +59,11 @@ class Route:
         self._position, self._orientation = position, orientation
         self._pose, self._motion = pose, motion
         self.length = math.dist(motion.position, position)
-        self.advance = float(pose.along(pose.moved_to(motion.position).origin))
+
+    @property
+    def advance(self) -> float:
+        """Of the way along the needle, m."""
+        return float(self._pose.along(self._pose.moved_to(self._motion.position).origin))
 
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""
@@ -136,7 +139,7 @@ def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
     spacing : float
         Of the track, m.
     """
-    return max(1, math.ceil(2 * way / spacing - 1e-9)) if contact.inserted else 1
+    return half_spacings(way, spacing) if contact.inserted else 1
 
 
 def ends(contact: ContactState, way: float) -> Iterator[float]:

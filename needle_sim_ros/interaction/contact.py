@@ -18,7 +18,7 @@ from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.balance import Balance, TipLimit
 from needle_sim_ros.interaction.friction import STILL, FrictionMemory
-from needle_sim_ros.interaction.growth import SETTLED, TrackGrowth
+from needle_sim_ros.interaction.growth import TrackGrowth
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
@@ -41,6 +41,9 @@ _BY_LACK, _MORE = 3, 1.3
 # of what the tip may be beside its place, how much it may be ahead of it with less force, and
 # how much it may have cut without the force that it takes
 _SLIGHT, _UNCUT = 0.05, 0.02
+# how far the tip may end from where a step took it to be, in track spacings
+_SETTLED = 0.02
+
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
 
@@ -82,7 +85,6 @@ class Contact:
     laws : Laws
     """
 
-    # of the cutting rate of the last step, how much of it the next one is taken to cut
     foresight = _FORESIGHT
 
     def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
@@ -212,7 +214,7 @@ class Contact:
         track, moved, forces = state.track, state.moved, state.forces
         memory = FrictionMemory(state.slip, state.strain, state.slid, state.advance)
         reached, missed = state.front, math.inf  # how far the tip cuts at least, and does not
-        nearly = SETTLED * track.spacing
+        nearly = _SETTLED * track.spacing
         if heading:
             nearly = min(nearly, _CLOSE * abs(advance))
         status = state.status

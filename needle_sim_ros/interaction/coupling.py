@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needle_sim_ros.geometry import Vector
+from needle_sim_ros.geometry import Vector, normals
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.mesh import Index, spacings
 from needle_sim_ros.tissue.model import TissueModel
@@ -126,12 +126,8 @@ class Coupling:
         return self.radius * self._chord[:, None] * normal, 0.5 * self._chord_weight
 
     def _disc(self, direction: Vector) -> tuple[Vector, Vector]:
-        # two normals to the track; which ones hardly matters to a mean over the disc
-        x, y, z = direction.tolist()
-        first = [1 - x * x, -x * y, -x * z] if abs(x) < 0.8 else [-x * y, 1 - y * y, -y * z]
-        a, b, c = (part / math.hypot(*first) for part in first)
-        normals = np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
-        return self.radius * (_DISC @ normals), _DISC_WEIGHT
+        # which normals to the track hardly matters to a mean over the disc
+        return self.radius * (_DISC @ normals(direction)), _DISC_WEIGHT
 
     def _shares(self, places: Vector, weights: Vector) -> Shares:
         nodes, values, inside = self._model.shape_functions(places)

@@ -24,9 +24,8 @@ from needle_sim_ros.tissue.response import Reading
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
 
-# how far the tip may end from where a step took it to be, and beyond the last point of a track
-# that cannot go on, in track spacings
-SETTLED, _BEYOND = 0.02, 0.5
+# how far the tip may be beyond the last point of a track that cannot go on, in track spacings
+_BEYOND = 0.5
 # parts of a segment that the tip has passed at each stage; the point is laid at the last
 _FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.68, 0.74, 0.98
 # ... and from there to each further step of it: a footprint that is added up, a component

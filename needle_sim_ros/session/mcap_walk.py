@@ -123,12 +123,11 @@ def walk(source: Source) -> Iterator[Piece | Damage]:
     yield Damage(source.size, 0, NOT_FINISHED)
 
 
-def _frame(source: Source, position: int) -> tuple[int, int]:
-    """Return opcode and length of a record that can be one."""
-    head = source.read(position, _RECORD.size)
+def _frame(head: bytes) -> tuple[int, int]:
+    """Return opcode and length of a record that can be one, by its first bytes."""
     if len(head) < _RECORD.size:
         raise DamageError(CUT_OFF)
-    opcode, length = _RECORD.unpack(head)
+    opcode, length = _RECORD.unpack_from(head)
     if not (1 <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
         raise DamageError("no record begins where one should")
     return opcode, length
@@ -136,10 +135,11 @@ def _frame(source: Source, position: int) -> tuple[int, int]:
 
 def _record(source: Source, position: int) -> Piece:
     begin = position + _RECORD.size
-    alike = _like_chunk(source, position)
+    head = source.read(position, _RECORD.size + HEAD_ROOM)
+    alike = _like_chunk(source, position, head)
     if alike is not None:
         return alike
-    opcode, length = _frame(source, position)
+    opcode, length = _frame(head)
     if opcode == Opcode.CHUNK:
         return _chunk(source, position, length)
     if begin + length > source.size:
@@ -163,9 +163,8 @@ def _record(source: Source, position: int) -> Piece:
     return Piece(position, begin + length, opcode, content)
 
 
-def _like_chunk(source: Source, position: int) -> Piece | None:
+def _like_chunk(source: Source, position: int, head: bytes) -> Piece | None:
     """Return what is a chunk by all but its opcode, in which a bit may be wrong."""
-    head = source.read(position, _RECORD.size + HEAD_ROOM)
     if len(head) < _RECORD.size or head[0] == Opcode.CHUNK:
         return None
     _, length = _RECORD.unpack_from(head)
@@ -200,7 +199,7 @@ def _cut_chunk(source: Source, position: int) -> Iterator[Piece]:
     """Yield what is there of a chunk within which the file ends."""
     begin = position + _RECORD.size
     try:
-        opcode, length = _frame(source, position)
+        opcode, length = _frame(source.read(position, _RECORD.size))
         if opcode != Opcode.CHUNK or begin + length <= source.size:
             return
         head = ChunkHead.read(source.read(begin, HEAD_ROOM))
@@ -216,7 +215,7 @@ def _cut_chunk(source: Source, position: int) -> Iterator[Piece]:
 def _next(source: Source, position: int) -> int | None:
     """Return where the walk can go on after a damaged record."""
     try:
-        _, length = _frame(source, position)
+        _, length = _frame(source.read(position, _RECORD.size))
         end = position + _RECORD.size + length
         if end < source.size and _stands(source, end):
             return end
@@ -228,7 +227,7 @@ def _next(source: Source, position: int) -> int | None:
 def _stands(source: Source, position: int) -> bool:
     """Return whether a record can begin here."""
     try:
-        _, length = _frame(source, position)
+        _, length = _frame(source.read(position, _RECORD.size))
     except DamageError:
         return False
     return position + _RECORD.size + length <= source.size

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from needle_sim_ros.geometry import Vector
+from needle_sim_ros.geometry import Vector, normals
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.material import MaterialField
 from needle_sim_ros.tissue.mesh import spacings
@@ -154,7 +154,7 @@ class NearField:
         sides = np.array([before, after]) - point
         along = (point + _SHARES[:, None, None] * sides).reshape(-1, 3)
         weights = np.repeat(_HAT_WEIGHT, 2 * len(_DISC)) / len(_DISC)
-        disc = _DISC @ _normals(sides[1])
+        disc = _DISC @ normals(sides[1] / np.linalg.norm(sides[1]))
         factor, bulk = self._elastic_between(np.vstack([places[close], point]))
         summed, outer = np.zeros(len(close)), np.zeros((len(close), 3, 3))
         for radius, sign in ((self._radius, 1.0), (self.wide, -1.0)):
@@ -225,14 +225,6 @@ def _elastic(lame: Vector, shear: Vector) -> Vector:
     """Return 1 / (16 pi G (1 - nu)) and 3 - 4 nu, shape (2, n)."""
     ratio = lame / (2 * (lame + shear))
     return np.array([1 / (16 * math.pi * shear * (1 - ratio)), 3 - 4 * ratio])
-
-
-def _normals(direction: Vector) -> Vector:
-    """Return two unit vectors perpendicular to a direction and to each other, (2, 3)."""
-    x, y, z = (direction / np.linalg.norm(direction)).tolist()
-    first = [1 - x * x, -x * y, -x * z] if abs(x) < 0.8 else [-x * y, 1 - y * y, -y * z]
-    a, b, c = (part / math.hypot(*first) for part in first)
-    return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
 
 
 def _hat(offset: Vector, spacing: float) -> Vector:
