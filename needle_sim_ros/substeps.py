@@ -63,7 +63,7 @@ class Route:
     @property
     def advance(self) -> float:
         """Of the way along the needle, m."""
-        return float(self._pose.along(self._pose.moved_to(self._motion.position).origin))
+        return self._pose.ahead(self._pose.moved_to(self._motion.position))
 
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""

@@ -72,7 +72,7 @@ class Step:
     ) -> None:
         self.before, self.after, self.duration = before, after, duration
         self.free, self.sample = free, sample
-        self.advance = -after.reach(before.origin.tolist())
+        self.advance = -after.ahead(before)
 
 
 class Contact:

@@ -51,6 +51,10 @@ class BasePose(NamedTuple):
         origin = self.origin.tolist()
         return sum([c * (point[i] - origin[i]) for i, c in self.terms[-1]])
 
+    def ahead(self, other: BasePose) -> float:
+        """Return how far another pose of the base is ahead along this one's axis, m."""
+        return self.reach(other.origin.tolist())
+
     def cosine(self, direction: list[float]) -> float:
         """Return the cosine of the angle between the axis and a unit direction (d)."""
         return sum([c * direction[i] for i, c in self.terms[-1]])
