@@ -39,10 +39,10 @@ class Inputs:
         self._warn = warn
         self._receiver = Receiver(
             node,
-            {
-                channels.BASE_POSE.name: (PoseStamped, self._take_pose),
-                channels.STAGE_VELOCITY.name: (TwistStamped, self._take_velocity),
-            },
+            [
+                (channels.BASE_POSE.name, PoseStamped, self._take_pose),
+                (channels.STAGE_VELOCITY.name, TwistStamped, self._take_velocity),
+            ],
             _BEST_EFFORT,
         )
 

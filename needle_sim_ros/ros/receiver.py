@@ -9,7 +9,7 @@ but the subscriptions takes a tenth of that, and waits without the interpreter l
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -40,8 +40,8 @@ class Receiver:
     ----------
     node : Node
         Subscribes.
-    topics : mapping of str to (type, callable)
-        Message type and taker of the serialised messages of each topic.
+    topics : iterable of (str, type, callable)
+        Topic, message type, and taker of the serialised messages; a topic may be there twice.
     qos : QoSProfile
         Of all of them.
     """
@@ -49,14 +49,14 @@ class Receiver:
     def __init__(
         self,
         node: Node,
-        topics: Mapping[str, tuple[Any, Callable[[bytes], None]]],
+        topics: Iterable[tuple[str, Any, Callable[[bytes], None]]],
         qos: QoSProfile,
     ) -> None:
         self._node = node
         group = _OwnThread()
         self._subscriptions = [
             node.create_subscription(kind, name, take, qos, callback_group=group, raw=True)
-            for name, (kind, take) in topics.items()
+            for name, kind, take in topics
         ]
         self._wake = _rclpy.GuardCondition(node.context.handle)
         self._stopping = False

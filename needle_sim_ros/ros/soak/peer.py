@@ -23,9 +23,11 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+from needle_sim_ros.ros.receiver import Receiver
 from needle_sim_ros.ros.soak.hostile import hostile_message
 from needle_sim_ros.session import channels
 
@@ -80,11 +82,13 @@ def subscribers(node: Node, file: Path, stop: threading.Event, topics: list[str]
         return take
 
     latency = "~/applied_velocity" in topics
-    for index, topic in enumerate(topics):
-        name = topic.replace("~", "needle_sim")
-        own = taker(index, topic if latency else "")
-        node.create_subscription(_type_of(topic), name, own, 10, raw=True)
-    _spin(node, stop)
+    heard = [
+        (topic.replace("~", "needle_sim"), _type_of(topic), taker(index, topic if latency else ""))
+        for index, topic in enumerate(topics)
+    ]
+    receiver = Receiver(node, heard, QoSProfile(depth=10))
+    stop.wait()
+    receiver.destroy()
     lines = [f"{topic} {count}" for topic, count in zip(topics, counts, strict=True)]
     lines += [f"! {tag} {arrived[stamp]!r}" for stamp, tag in tags.items() if stamp in arrived]
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
