@@ -28,7 +28,13 @@ _needle_sim() {{
 }}
 complete -o default -F _needle_sim needle_sim
 """
-_ZSH = "autoload -Uz bashcompinit && bashcompinit\n" + _BASH
+# a zsh whose start files load no completion has none that bash's mode could stand on
+_ZSH = (
+    """(( $+functions[compdef] )) || {{ autoload -Uz compinit && compinit -i; }}
+autoload -Uz bashcompinit && bashcompinit
+"""
+    + _BASH
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

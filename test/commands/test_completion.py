@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Completion as the shells themselves do it."""
 
+import os
+import pty
+import re
+import select
 import shutil
+import signal
 import subprocess
+import time
 
 import pytest
 
@@ -48,13 +54,33 @@ def test_options_and_scenes_are_completed(complete, capsys):
 def test_zsh_gets_the_same_through_its_bash_mode(capsys):
     assert main(["completion", "zsh"]) == 0
     script = capsys.readouterr().out
-    assert script.startswith("autoload -Uz bashcompinit") and "complete -o default" in script
+    assert "autoload -Uz bashcompinit" in script and "complete -o default" in script
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="no zsh here")
-def test_zsh_loads_it(capsys, tmp_path):
+@pytest.mark.parametrize("start", ["", "autoload -Uz compinit && compinit -u\n"])
+def test_zsh_completes_at_the_tab_key(capsys, tmp_path, start):
     assert main(["completion", "zsh"]) == 0
-    script = tmp_path / "needle_sim.zsh"
-    script.write_text(capsys.readouterr().out)
-    done = subprocess.run(["zsh", "-c", f"source {script}"], capture_output=True, text=True)
-    assert done.returncode == 0 and done.stderr == ""
+    (tmp_path / ".zshrc").write_text(start + capsys.readouterr().out)
+    child, terminal = pty.fork()
+    if child == 0:
+        os.environ |= {"ZDOTDIR": str(tmp_path), "TERM": "dumb", "PS1": "ready> "}
+        os.execvp("zsh", ["zsh", "-i"])
+    try:
+        assert "command not found" not in _seen_until(terminal, "ready>")
+        os.write(terminal, b"needle_sim comple\tzs\t")
+        _seen_until(terminal, "needle_simcompletionzsh")
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(terminal)
+
+
+def _seen_until(terminal, text, patience=20.0):
+    """Read a terminal until a text is there, whatever spaces and jumps a redrawn line has."""
+    seen, end = "", time.monotonic() + patience
+    while text not in re.sub(r"[^\w>]", "", seen):
+        assert time.monotonic() < end, seen
+        if select.select([terminal], [], [], 0.1)[0]:
+            seen += os.read(terminal, 65536).decode(errors="replace")
+    return seen
