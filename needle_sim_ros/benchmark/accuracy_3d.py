@@ -16,6 +16,7 @@ from needle_sim_ros.benchmark.trajectory import errors, hurried
 from needle_sim_ros.benchmark.variants import Changes, Variant, method_changes, refined
 from needle_sim_ros.errors import SceneError
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.mesh import spacings
 
 Progress = Callable[[int, int], None]
 
@@ -23,6 +24,8 @@ _HASTE, _QUICK_HASTE = 4.0, 16.0
 _NEXT, _REFERENCE = "reference, one level coarser", "reference"
 # growth of the cells away from the needle: where markers are, these decide
 _FINE_GROWTH = 1.2
+# spacings of the reference where cells are wider than the needle, as parts of the scene's
+_THIN_QUICK, _THIN = 0.75, 0.65
 
 
 def accuracy_3d(
@@ -60,12 +63,7 @@ def accuracy_3d(
     scene = hurried(scene, haste)
     own = method_changes(scene, "quasi_static")
     growth = scene.tissue.mesh.growth
-    levels: dict[str, Changes] = {
-        "one level coarser": refined(scene, 1.5, 2.0, 2.0, growth),
-        "default": {},
-        _NEXT: refined(scene, 0.7, 0.5, 0.5, growth),
-        _REFERENCE: refined(scene, 0.55, 0.5, 0.5, min(growth, _FINE_GROWTH)),
-    }
+    levels = _levels(scene, quick)
     singles: dict[str, Changes] = {
         "mesh across x 0.7": refined(scene, 0.7, 1.0, 1.0, growth),
         "mesh along x 1/2": refined(scene, 1.0, 0.5, 1.0, growth),
@@ -86,6 +84,27 @@ def accuracy_3d(
         result.table.append(row_of(section, variant, run, errors(run.trajectory, reference)))
     result.figures = _figures(scene.name, made)
     return result
+
+
+def _levels(scene: Scene, quick: bool) -> dict[str, Changes]:
+    """Return the settings of the runs that are refined together, the reference last."""
+    growth = scene.tissue.mesh.growth
+    across, along, _ = spacings(scene)
+    thin = across >= along and across > scene.needle.radius
+    fine = min(growth, _FINE_GROWTH)
+    if thin:
+        # a track finer than the cells: these matter less than it, and the responses between
+        # the many nodes about a path that bends take memory with the sixth power of their size
+        least = _THIN_QUICK if quick else _THIN
+        next_to, reference = (0.5 * (1 + least),) * 3, (least,) * 3
+    else:
+        next_to, reference = (0.7, 0.5, 0.5), (0.55, 0.5, 0.5)
+    return {
+        "one level coarser": refined(scene, 1.5, 1.5, 1.5, growth),
+        "default": {},
+        _NEXT: refined(scene, *next_to, growth),
+        _REFERENCE: refined(scene, *reference, growth if thin else fine),
+    }
 
 
 def _figures(name: str, made: dict[str, Measured]) -> dict[str, float | None]:
