@@ -27,6 +27,7 @@ from needle_sim_ros.tissue.ordering import unknowns_order
 from needle_sim_ros.tissue.plan import plane_points as plane_points
 from needle_sim_ros.tissue.plan import prepared
 from needle_sim_ros.tissue.reduced import ReducedNewmark, lowest_modes
+from needle_sim_ros.tissue.tiles import Tiles
 
 Progress = Callable[[int, int], None]
 
@@ -119,9 +120,10 @@ def build_tissue(scene: Scene, progress: Progress | None = None) -> BuiltTissue:
     _, along, _ = spacings(scene)
     tile = (2.2 * disc_radius(scene),) * (scene.dimension - 1) + (4 * along,)
     center = plane_points(planned_path(scene).entry, scene.dimension)[0]
-    planned, groups = prepared(scene, model)
+    tiles = Tiles(model, tile, center)
+    planned, groups = prepared(scene, model, tiles)
     kind = NodalCompliance if _worth_keeping(model, planned) else DirectCompliance
-    compliance = kind(model, factor, readers, tile, center)
+    compliance = kind(model, factor, readers, tiles)
     modes, cached = _prepared(model, factor, compliance, planned, began, progress)
     kept = not isinstance(compliance, DirectCompliance)
     about = Beside(compliance, groups if kept else [])

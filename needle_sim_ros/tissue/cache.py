@@ -159,7 +159,7 @@ def key_of(
     _add_matrix(digest, compliance.reader_matrix)
     if modes:
         _add_matrix(digest, model.mass)
-    for array in (factor.order, model.free, compliance.tiles(planned)):
+    for array in (factor.order, model.free, compliance.tiles.whole(planned)):
         _add(digest, np.zeros(0) if array is None else np.asarray(array))
     return digest.hexdigest()
 

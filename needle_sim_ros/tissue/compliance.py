@@ -21,6 +21,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.tiles import Tiles
 
 _ROOM = 256  # nodes off the plan
 _MOST_WHOLE = 500_000_000  # bytes of their responses
@@ -48,10 +49,8 @@ class NodalCompliance:
         Of the matrix whose inverse is the compliance: K, or Newmark's effective matrix.
     readers : csr_array, shape (r, free)
         What else reads displacements, e.g. the markers.
-    tile : tuple of float
-        Extent of a tile of nodes in each direction, m.
-    center : ndarray, shape (d,)
-        Where the middle of a tile is, m.
+    tiles : Tiles
+        Of its nodes.
     """
 
     def __init__(
@@ -59,33 +58,23 @@ class NodalCompliance:
         model: TissueModel,
         factor: Factor,
         readers: sp.csr_array,
-        tile: tuple[float, ...],
-        center: Vector,
+        tiles: Tiles,
     ) -> None:
         self._model, self._factor = model, factor
         self.reader_matrix = sp.csr_matrix(readers)
-        d = model.dimension
-        steps = [
-            np.floor((x - x0) / t + 0.5)
-            for x, x0, t in zip(model.coordinates, center, tile, strict=True)
-        ]
-        key = np.zeros(model.nodes)
-        for step in (-steps[-1], *steps[:-1]):  # deeper tiles have higher numbers, and ranks
-            key = key * (step.max() - step.min() + 1) + (step - step.min())
-        _, self._tile_of = np.unique(key, return_inverse=True)
-        tiles = int(self._tile_of.max()) + 1
-        self._order = np.argsort(self._tile_of, kind="stable")
-        self._bounds = np.searchsorted(self._tile_of[self._order], np.arange(tiles + 1))
-        self._rank = np.arange(tiles)
+        self.tiles = tiles
+        self._rank = np.arange(tiles.count)
         self._slot = np.full(model.nodes, -1, dtype=np.intp)
         self._ready = np.zeros(model.nodes, dtype=bool)  # its responses are there
         self._kept = np.empty(0, dtype=np.intp)
-        self._first = np.full(tiles, -1, dtype=np.intp)  # slot of a tile's first node
-        self._read_to = np.zeros(tiles, dtype=np.intp)  # slots that its responses were read at
+        self._first = np.full(tiles.count, -1, dtype=np.intp)  # slot of a tile's first node
+        self._read_to = np.zeros(
+            tiles.count, dtype=np.intp
+        )  # slots that its responses were read at
         self._lacking = False
         self._blocks = np.zeros((0, 0))
         self._read = np.zeros((readers.shape[0], 0))
-        self._d = d
+        self._d = model.dimension
         self._expected: dict[int, Future[Vector]] = {}
         self._worker: ThreadPoolExecutor | None = None
         self._whole: dict[int, Vector] = {}  # responses of tiles off the plan, everywhere
@@ -133,7 +122,7 @@ class NodalCompliance:
         return count
 
     def _plan(self, nodes: Index) -> Index:
-        planned = np.unique(self._tile_of[nodes])
+        planned = self.tiles.touched(nodes)
         self._rank[planned] -= 2 * len(self._rank)
         return planned
 
@@ -165,7 +154,7 @@ class NodalCompliance:
         """
         tiles: list[int] = []
         for nodes in groups:
-            for tile in np.unique(self._tile_of[nodes]):
+            for tile in self.tiles.touched(nodes):
                 if self._first[tile] < 0:
                     self._rank[tile] = len(tiles) - len(self._rank)
                     tiles.append(int(tile))
@@ -178,15 +167,10 @@ class NodalCompliance:
 
         May run beside the ticks.
         """
-        if not self._ready[self._members(tile)[0]]:
+        if not self._ready[self.tiles.members(tile)[0]]:
             response = self._responses(tile)
             with self._merging:
                 self._merge(tile, response)
-
-    def tiles(self, nodes: Index) -> Index:
-        """Return all nodes of the tiles that hold some, tile by tile."""
-        members = [self._members(int(tile)) for tile in np.unique(self._tile_of[nodes])]
-        return np.concatenate([np.empty(0, dtype=np.intp), *members])
 
     def prepared(self) -> tuple[Vector, Vector]:
         """Return what :meth:`prepare` computed, for :meth:`adopt` of an equal object."""
@@ -198,7 +182,7 @@ class NodalCompliance:
 
         Nothing is changed where it does not fit, and nothing is factorised.
         """
-        size = self._d * len(self.tiles(nodes))
+        size = self._d * len(self.tiles.whole(nodes))
         if blocks.shape != (size, size) or read.shape != (self.readers, size):
             return False
         planned = self._plan(nodes)
@@ -216,9 +200,9 @@ class NodalCompliance:
         if self._ready.take(nodes).all():
             return 0
         with self._merging:
-            tiles = np.unique(self._tile_of[nodes[~self._ready[nodes]]])
+            tiles = self.tiles.touched(nodes[~self._ready[nodes]])
             fresh = tiles[self._first[tiles] < 0]
-            rank = self._rank[self._tile_of[self._kept]].max(initial=-2 * len(self._rank))
+            rank = self._rank[self.tiles.of[self._kept]].max(initial=-2 * len(self._rank))
             self._lacking = self._lacking or bool((self._rank[fresh] < rank).any())
             for tile in fresh:
                 self._keep(int(tile))
@@ -238,7 +222,7 @@ class NodalCompliance:
         missing = ~self._ready[nodes]
         if not missing.any() and not self._expected:
             return
-        tiles = np.unique(self._tile_of[nodes[missing]])
+        tiles = self.tiles.touched(nodes[missing])
         for tile in set(self._expected).difference(tiles.tolist()):
             if self._expected[tile].cancel():
                 del self._expected[tile]
@@ -254,18 +238,15 @@ class NodalCompliance:
 
     def _responses(self, tile: int) -> Vector:
         """Solve for unit forces on a tile's nodes; touches nothing that a tick changes."""
-        nodes = self._members(tile)
+        nodes = self.tiles.members(tile)
         places = self._unknowns(nodes)
         unit = np.zeros((len(self._model.free), self._d * len(nodes)), order="F")
         loaded = np.flatnonzero(places >= 0)
         unit[places[loaded], loaded] = 1.0
         return self._factor.solve(unit)
 
-    def _members(self, tile: int) -> Index:
-        return self._order[self._bounds[tile] : self._bounds[tile + 1]]
-
     def _keep(self, tile: int) -> None:
-        nodes, first = self._members(tile), len(self._kept)
+        nodes, first = self.tiles.members(tile), len(self._kept)
         self._first[tile] = first
         self._slot[nodes] = np.arange(first, first + len(nodes))
         self._kept = np.concatenate([self._kept, nodes])
@@ -275,8 +256,8 @@ class NodalCompliance:
         self._merge(tile, self._response(tile))
 
     def _merge(self, tile: int, response: Vector) -> None:
-        nodes = self._members(tile)
-        slots = np.flatnonzero(self._rank[self._tile_of[self._kept]] <= self._rank[tile])
+        nodes = self.tiles.members(tile)
+        slots = np.flatnonzero(self._rank[self.tiles.of[self._kept]] <= self._rank[tile])
         rows = self._unknowns(self._kept[slots])
         block = np.where(rows[:, None] >= 0, response[rows], 0.0)
         places, own = self._places(self._kept[slots]), self._places(nodes)
@@ -310,7 +291,7 @@ class NodalCompliance:
         """Solve tiles again that are to be read at nodes kept after their solve."""
         if not self._lacking:
             return
-        one, other = np.meshgrid(np.unique(self._tile_of[nodes]), np.unique(self._tile_of[others]))
+        one, other = np.meshgrid(self.tiles.touched(nodes), self.tiles.touched(others))
         swap = self._rank[one] > self._rank[other]
         lower, higher = np.where(swap, other, one), np.where(swap, one, other)
         for tile in np.unique(higher[self._first[lower] >= self._read_to[higher]]):

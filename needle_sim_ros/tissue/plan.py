@@ -12,12 +12,13 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.mesh import Index, planned_path, spacings, steering
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.near_field import disc_radius
+from needle_sim_ros.tissue.tiles import Tiles
 
 # unknowns whose responses to each other are kept about a path in 3D, 0.4 GB, and how far from
 # it, m, the base may move or turn the needle then
 _AFFORDED = 7_200
-# ... of these the set-up makes so many itself, in some five seconds
-_AT_ONCE = 4_000
+# ... of these the set-up makes so many itself, whole tiles, in some five seconds
+_AT_ONCE = 4_500
 _ROOM = (1.5e-3, 3.0e-3, 5.0e-3)
 # how far aside a needle steers, least and most, in parts of its depth times its deviation
 _SWERVE = (0.25, 1.5)
@@ -50,15 +51,26 @@ def touched(scene: Scene, model: TissueModel) -> Index:
     return _nodes_at(model, places)
 
 
-def prepared(scene: Scene, model: TissueModel) -> tuple[Index, list[Index]]:
+def prepared(scene: Scene, model: TissueModel, tiles: Tiles) -> tuple[Index, list[Index]]:
     """Return the nodes to prepare before the first tick, and those to prepare beside the ticks.
 
     The planned path, and what of :func:`beside` is made in seconds; then the rest of that.
+
+    Parameters
+    ----------
+    scene : Scene
+    model : TissueModel
+    tiles : Tiles
+        Nodes are prepared by whole tiles.
     """
     planned = touched(scene, model)
     groups = beside(scene, model, planned)
-    while groups and model.dimension * (len(planned) + len(groups[0])) <= _AT_ONCE:
-        planned = np.union1d(planned, groups.pop(0))
+    while groups:
+        wider = np.union1d(planned, groups[0])
+        if model.dimension * len(tiles.whole(wider)) > _AT_ONCE:
+            break
+        planned = wider
+        groups.pop(0)
     return planned, groups
 
 

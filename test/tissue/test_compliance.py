@@ -10,6 +10,7 @@ from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.tiles import Tiles
 
 RADIUS, SPACING = 1e-3, 2e-3
 READ_AT = np.array([[0.004, -0.01], [-0.02, -0.05], [0.03, 0.0]])
@@ -28,9 +29,8 @@ def factor(model):
 @pytest.fixture
 def compliance(model, factor):
     def make():
-        return NodalCompliance(
-            model, factor, model.sampling(READ_AT), (2.2e-3, 16e-3), np.array([0.0, 0.0])
-        )
+        tiles = Tiles(model, (2.2e-3, 16e-3), np.array([0.0, 0.0]))
+        return NodalCompliance(model, factor, model.sampling(READ_AT), tiles)
 
     return make
 
