@@ -46,7 +46,7 @@ def inserted(simulator, ticks=100):
 def test_parts_end_where_the_tip_is_in_the_middle_of_a_segment(simulator):
     sim = simulator()
     contact = inserted(sim)
-    while not 0.1 < (passed := contact.depth / SPACING - (contact.track.count - 2)) < 0.3:
+    while not 0.1 < (passed := contact.depth / SPACING - (contact.track.laid - 2)) < 0.3:
         contact = inserted(sim, 1)
     advance = 1.5 * SPACING
     first, last = ends(contact, advance)

@@ -164,7 +164,7 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     past = None if before is None else before.contact
     if before is None or past is None or past.track is None or not past.inserted:
         return excess
-    if past.track.count != track.count or past.active != n or past.depth == 0:
+    if past.track.laid != track.laid or past.active != n or past.depth == 0:
         return excess
     if state.parts > 1:
         return excess

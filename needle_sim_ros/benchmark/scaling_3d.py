@@ -24,7 +24,7 @@ _HASTE = 8.0
 _TRACK: dict[str, Any] = {"tissue.mesh.spacing_along": 4e-3, "solver.track_spacing": 4e-3}
 SIZES: dict[str, dict[str, Any]] = {
     "small": _TRACK,
-    "over 100 000 unknowns": _TRACK | {"tissue.mesh.growth": 1.2, "tissue.mesh.largest": 2.6e-3},
+    "over 100 000 unknowns": _TRACK | {"tissue.mesh.growth": 1.2, "tissue.mesh.largest": 2.4e-3},
 }
 
 

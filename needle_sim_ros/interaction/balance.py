@@ -189,7 +189,7 @@ class Balance:
         limit : TipLimit
         """
         pose, h = step.after, track.spacing
-        last = min(int(depth / h), track.count - 2)  # the last point that the tip has passed
+        last = min(int(depth / h), track.laid - 2)  # the last point that the tip has passed
         n = last + 2  # rows: the points passed and the one ahead of the tip
         held = max(1, last + (depth - h * last > LEAST * h))
         free = step.free(track.table)
@@ -224,7 +224,7 @@ class Balance:
         found, slipped = self._solved(problem, start, length, bounds, step.duration)
 
         forces = found.forces
-        if n < track.count:
+        if n < track.laid:
             forces = np.zeros_like(track.points)
             forces[:n] = found.forces
             after = free + track.table.displacement(found.forces)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -190,7 +189,7 @@ class Contact:
         if solution.overlap <= 0:
             return state._replace(**solution.fields(), touching=True)
         # the surface breaks: the same step goes on with a track
-        pressed = replace(state.track, dent=self._balance.dent(limit))
+        pressed = state.track._replace(dent=self._balance.dent(limit))
         track = self._growth.opened(pressed, step, solution, state.forces)
         # friction starts from the dented tissue: what the tip did to the new point counts
         forces = np.zeros_like(track.points)
@@ -309,7 +308,7 @@ def _onward(front: float, spacing: float) -> float:
 def _known(moved: Vector, forces: Vector, track: Track, step: Step) -> Vector:
     """Give points laid within the step the displacement that the forces so far give them."""
     known = len(moved)
-    if known == track.count:
+    if known == track.laid:
         return moved
     wider = step.free(track.table) + track.table.displacement(forces)
     wider[:known] = moved

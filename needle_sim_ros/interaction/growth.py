@@ -72,7 +72,7 @@ class TrackGrowth:
         """Return the track with whatever the tip at a depth calls for."""
         layer = self._layer
         while True:
-            passed = depth / track.spacing - (track.count - 2)
+            passed = depth / track.spacing - (track.laid - 2)
             ahead = track.ahead
             if ahead is None:
                 if passed < _FORESEEN:
@@ -145,7 +145,7 @@ class TrackGrowth:
             return direction
         material = direction - step.sample(track.table, forces, turning)
         near = self._layer.near
-        if near is not None and track.count > 1:
+        if near is not None and track.laid > 1:
             place, along = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
             material = material - near.turned(track.points, forces, place, along, self._bevel)
         return np.asarray(material / np.linalg.norm(material))

@@ -109,6 +109,6 @@ class ContactState(NamedTuple):
             return None
         if advance < _SMALL * track.spacing:
             return None
-        passed = self.depth / track.spacing - (track.count - 2)
+        passed = self.depth / track.spacing - (track.laid - 2)
         share = (AIMED - passed) * track.spacing / (self.rate * advance)
         return share if _SLIVER < share < 1.0 - _SLIVER else None

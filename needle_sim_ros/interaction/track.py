@@ -7,8 +7,6 @@ track without remeshing, and the track stays as a channel when the needle is dra
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +18,7 @@ from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.near_field import NearField
-from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable, Rows
 
 # how far ahead of the tip responses are prepared: track spacings, and at least so many m
 _FORESEEN, _AT_LEAST = 14, 0.03
@@ -44,8 +42,10 @@ class NextPoint(NamedTuple):
     footprint : Footprint or None
     asked : bool
         Whether what comes after it was asked for.
+    rows : Rows or None
+        Of the response table, and its own.
     columns : tuple of ndarray
-        The first columns of its row of the response table.
+        The first columns of its row.
     row : ResponseRow or None
         The row.
     """
@@ -56,12 +56,12 @@ class NextPoint(NamedTuple):
     heading: Vector | None = None
     footprint: Footprint | None = None
     asked: bool = False
+    rows: Rows | None = None
     columns: tuple[Vector, ...] = ()
     row: ResponseRow | None = None
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """Track points, their limits and their responses; immutable.
 
     Attributes
@@ -97,13 +97,14 @@ class Track:
     ahead: NextPoint | None = None
     dent: float = 0.0
 
-    @cached_property
+    @property
     def entry(self) -> list[float]:
         """Coordinates of the first point, m."""
-        return [float(x) for x in self.points[0]]
+        entry: list[float] = self.points[0].tolist()
+        return entry
 
     @property
-    def count(self) -> int:
+    def laid(self) -> int:
         """Number of points n."""
         return len(self.points)
 
@@ -114,8 +115,8 @@ class Track:
         direction = (point - last) / self.spacing  # none where there is no last point
         limits = _rubbing(laws, point, self.spacing * direction)
         begun = self.stretches or stretches.first(laws, point)
-        if self.count:
-            start = (self.count - 1) * self.spacing
+        if self.laid:
+            start = (self.laid - 1) * self.spacing
             begun = stretches.onward(
                 begun, laws, start, self.points[-1], point - self.points[-1], self.spacing
             )
@@ -141,8 +142,7 @@ class Track:
             zip(self.points[:-1], np.diff(self.points, axis=0), strict=True)
         ):
             begun = stretches.onward(begun, laws, k * self.spacing, point, piece, self.spacing)
-        return replace(
-            self,
+        return self._replace(
             stretches=begun,
             static=limits[:, 0],
             kinetic=limits[:, 1],
@@ -165,7 +165,7 @@ class Track:
         return direction
 
     def _segment(self, depth: float) -> int:
-        return int(min(max(depth / self.spacing, 0.0), self.count - 1.000001))
+        return int(min(max(depth / self.spacing, 0.0), self.laid - 1.000001))
 
 
 def _rubbing(laws: Laws, point: Vector, piece: Vector) -> tuple[float, float]:
@@ -241,7 +241,7 @@ class TrackLayer:
             Bevel length, over which it is turned, m.
         """
         middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
-        return replace(track, ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
+        return track._replace(ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
 
     def gather(self, track: Track) -> Track:
         """Add up the footprint that was foreseen, or spread."""
@@ -252,13 +252,13 @@ class TrackLayer:
             ahead = ahead._replace(shares=None, turning=Reading(footprint))
         else:
             ahead = ahead._replace(shares=None, footprint=footprint)
-        return replace(track, ahead=ahead)
+        return track._replace(ahead=ahead)
 
     def read(self, track: Track) -> Track:
         """Find out how forces on the track turn the tissue there, one component more."""
         ahead = track.ahead
         assert ahead is not None and ahead.turning is not None
-        return replace(track, ahead=ahead._replace(turning=track.table.read(ahead.turning)))
+        return track._replace(ahead=ahead._replace(turning=track.table.read(ahead.turning)))
 
     def aim(self, track: Track, heading: Vector, foresight: bool = False) -> Track:
         """Turn the last segment to where the tip cuts in its middle; foresee the next point.
@@ -276,34 +276,34 @@ class TrackLayer:
         foresight : bool
             Whether the path is expected to go on turning as it did.
         """
-        if track.count > 1:
+        if track.laid > 1:
             points, directions = track.points.copy(), track.directions.copy()
             points[-1] = points[-2] + track.spacing * heading
             directions[-1] = heading
-            track = replace(track, points=points, directions=directions)
+            track = track._replace(points=points, directions=directions)
         point = track.points[-1] + track.spacing * heading
         if foresight and track.heading is not None:
             point += track.spacing * (heading - track.heading)
         ahead = track.ahead or NextPoint()
-        return replace(track, ahead=ahead._replace(point=point, heading=heading))
+        return track._replace(ahead=ahead._replace(point=point, heading=heading))
 
     def spread(self, track: Track) -> Track:
         """Find out which nodes the next point touches."""
         ahead, last = track.ahead, track.points[-1]
         assert ahead is not None and ahead.point is not None
         shares = self.coupling.hat_shares(last, ahead.point, 2 * ahead.point - last)
-        return replace(track, ahead=ahead._replace(shares=shares))
+        return track._replace(ahead=ahead._replace(shares=shares))
 
     def ask(self, track: Track) -> Track:
         """Have prepared beside the ticks what comes after the next point."""
         ahead = track.ahead
         assert ahead is not None and ahead.point is not None
-        if track.count % _EVERY == 0:
+        if track.laid % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
             reach = max(_FORESEEN * track.spacing, _AT_LEAST)
             nodes = self.coupling.ahead(ahead.point, direction, reach)
             track.table.compliance.expect(nodes)
-        return replace(track, ahead=ahead._replace(asked=True))
+        return track._replace(ahead=ahead._replace(asked=True))
 
     def weigh(self, track: Track) -> Track:
         """Find out how the tissue answers to forces on the next point.
@@ -315,15 +315,16 @@ class TrackLayer:
         known = ahead.columns
         if len(known) == table.compliance.dimension:
             assert ahead.point is not None and ahead.heading is not None
-            row = table.row(ahead.footprint, known)
+            row = table.row(ahead.footprint, known, ahead.rows)
             row = self._completed(row, track.points, ahead.point, ahead.heading)
             if self.near is not None and len(self._read):
                 last = track.points[-1]
                 read = self.near.at(self._read, last, ahead.point, 2 * ahead.point - last)
                 row = row._replace(at_readers=row.at_readers + read, near_read=read)
-            return replace(track, ahead=ahead._replace(row=row))
-        known = (*known, table.column(ahead.footprint, len(known)))
-        return replace(track, ahead=ahead._replace(columns=known))
+            return track._replace(ahead=ahead._replace(row=row))
+        rows = ahead.rows or table.rows.joined(ahead.footprint)
+        known = (*known, table.column(ahead.footprint, len(known), rows))
+        return track._replace(ahead=ahead._replace(rows=rows, columns=known))
 
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""

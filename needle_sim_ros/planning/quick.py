@@ -26,11 +26,12 @@ from needle_sim_ros.tissue.build import BuiltTissue, plane_points
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import planned_path, spacings
 
-# track spacings of a rollout per track spacing of the scene, in 2D, where rollouts are to be
-# a few dozen steps; a 3D scene has so few that nothing is left to save
+# track spacings of a rollout per track spacing of the scene, which is to be a few dozen steps
 _COARSER = 2.5
+_COARSER_3D = 3.0
 # ... and at least so many on the planned path
 _LEAST_POINTS = 15
+_LEAST_POINTS_3D = 40
 # spacings of the mesh within the reach to each side in 3D: unknowns grow with their square
 _COLUMNS = 5
 # the farthest that the base goes, or turns, in one step: spacings, rad
@@ -73,12 +74,16 @@ def planning_scene(scene: Scene, reach: float | None = None) -> Scene:
     """
     changes: dict[str, object] = {"solver.dynamics": "quasi_static", "solver.modes": 0}
     spacing = scene.solver.track_spacing
+    coarser, points = _COARSER, _LEAST_POINTS
+    if scene.dimension == 3:
+        coarser, points = _COARSER_3D, _LEAST_POINTS_3D
+    spacing = max(spacing, min(coarser * spacing, planned_path(scene).depth / points))
+    changes["solver.track_spacing"] = spacing
+    along = scene.tissue.mesh.spacing_along
     if scene.dimension == 2:
-        spacing = max(spacing, min(_COARSER * spacing, planned_path(scene).depth / _LEAST_POINTS))
-        changes["solver.track_spacing"] = spacing
-        along = scene.tissue.mesh.spacing_along
         changes["tissue.mesh.spacing_along"] = spacing if along is None else max(along, spacing)
     if reach is not None:
+        changes["markers"] = []  # a planner asks about its target alone
         across, _, band = spacings(scene)
         changes["tissue.mesh.band"] = max(reach, band)
         if scene.dimension == 3:
@@ -188,7 +193,7 @@ class QuickSimulator(Simulator):
         if table.count == 0:
             return point.place
         loads = table.loads(forces)
-        moved = np.einsum("akb,kb->a", point.response[:, table.nodes], loads)
+        moved = np.einsum("akb,kb->a", point.response[:, table.rows.nodes], loads)
         if len(moved) == 2:
             moved = np.array([moved[0], 0.0, moved[1]])
         return np.asarray(point.place + moved)

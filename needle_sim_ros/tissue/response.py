@@ -54,13 +54,36 @@ class _Store:
         return twin
 
 
+class Rows(NamedTuple):
+    """Footprints of rows, one after the other.
+
+    Attributes
+    ----------
+    nodes, weights : ndarray, shape (l,)
+    starts : ndarray of int, shape (n,)
+        Where each footprint begins.
+    """
+
+    nodes: Index = np.empty(0, dtype=np.intp)
+    weights: Vector = np.empty(0)
+    starts: Index = np.empty(0, dtype=np.intp)
+
+    def joined(self, footprint: Footprint) -> Rows:
+        """Return these and another one."""
+        return Rows(
+            np.concatenate([self.nodes, footprint.nodes]),
+            np.concatenate([self.weights, footprint.weights]),
+            np.append(self.starts, len(self.nodes)),
+        )
+
+
 class ResponseRow(NamedTuple):
     """A row that a table of n rows would get.
 
     Attributes
     ----------
-    nodes, weights, starts : ndarray
-        Footprints of all rows, the new one last.
+    rows : Rows
+        Of the table, and the new one.
     static : ndarray, shape ((n + 1) d, d)
         Displacement of all rows per force on the new one, m/N.
     at_readers : ndarray, shape (r, d)
@@ -71,9 +94,7 @@ class ResponseRow(NamedTuple):
         Of `at_readers` the same.
     """
 
-    nodes: Index
-    weights: Vector
-    starts: Index
+    rows: Rows
     static: Vector
     at_readers: Vector
     shape: Vector
@@ -130,9 +151,7 @@ class ResponseTable:
         self._store = _Store(
             compliance.readers, compliance.dimension, None if modes is None else modes.count
         )
-        self.nodes: Index = np.empty(0, dtype=np.intp)
-        self.weights = np.empty(0)
-        self.starts: Index = np.empty(0, dtype=np.intp)
+        self.rows = Rows()
 
     def between(self, rows: int | None = None) -> Vector:
         """Displacement of the first rows per force on them within a step, (n d, n d), m/N."""
@@ -199,28 +218,22 @@ class ResponseTable:
         """Shapes of the modes at the rows, (modes, n d)."""
         return self._store.modal[:, : self.compliance.dimension * self.count]
 
-    def column(self, footprint: Footprint, component: int) -> Vector:
-        """Return the displacement of all rows, and of another one, per force component on that.
+    def column(self, footprint: Footprint, component: int, rows: Rows) -> Vector:
+        """Return the displacement of rows (n d,) per force component on a footprint, m/N.
 
-        Shape ((n + 1) d,), m/N: a part of :meth:`row`, which takes a tick's time as a whole.
+        Of all rows and another one it is a part of :meth:`row`, which takes a tick's time as
+        a whole.
         """
-        return self._moved(footprint, component, *self._joined(footprint))
-
-    def _moved(
-        self, footprint: Footprint, component: int, nodes: Index, weights: Vector, starts: Index
-    ) -> Vector:
-        """Return the displacement of rows, (n d,), per force component on a footprint, m/N."""
-        moved = self.compliance.column(footprint, nodes, component)
-        moved *= weights
-        return np.asarray(np.add.reduceat(moved, starts, axis=1).T.ravel())
+        moved = self.compliance.column(footprint, rows.nodes, component)
+        moved *= rows.weights
+        return np.asarray(np.add.reduceat(moved, rows.starts, axis=1).T.ravel())
 
     def read(self, reading: Reading) -> Reading:
         """Return a reading with one component more, and with the modes when it is the last."""
         footprint, columns = reading.footprint, reading.columns
         column = np.empty(0)
         if self.count:
-            rows = self.nodes, self.weights, self.starts
-            column = self._moved(footprint, len(columns), *rows)
+            column = self.column(footprint, len(columns), self.rows)
         columns = (*columns, column)
         if self.modes is None or len(columns) < self.compliance.dimension:
             return Reading(footprint, columns)
@@ -233,23 +246,18 @@ class ResponseTable:
             reading = self.read(reading)
         return reading
 
-    def row(self, footprint: Footprint, columns: tuple[Vector, ...] = ()) -> ResponseRow:
-        """Return what another row would be; its first columns may be known."""
+    def row(
+        self, footprint: Footprint, columns: tuple[Vector, ...] = (), rows: Rows | None = None
+    ) -> ResponseRow:
+        """Return what another row would be; its first columns, and all rows, may be known."""
         d = self.compliance.dimension
-        rest = [self.column(footprint, a) for a in range(len(columns), d)]
+        rows = rows or self.rows.joined(footprint)
+        rest = [self.column(footprint, a, rows) for a in range(len(columns), d)]
         static = np.stack([*columns, *rest], axis=1)
         static[-d:] = 0.5 * (static[-d:] + static[-d:].T)
         at_readers = self.compliance.at_readers(footprint)
         shape = np.zeros((0, d)) if self.modes is None else self.modes.at(footprint)
-        return ResponseRow(*self._joined(footprint), static, at_readers, shape)
-
-    def _joined(self, footprint: Footprint) -> tuple[Index, Vector, Index]:
-        """Return nodes, weights and starts of the rows and of another one."""
-        return (
-            np.concatenate([self.nodes, footprint.nodes]),
-            np.concatenate([self.weights, footprint.weights]),
-            np.append(self.starts, len(self.nodes)),
-        )
+        return ResponseRow(rows, static, at_readers, shape)
 
     def appended(self, row: ResponseRow) -> ResponseTable:
         """Return a table with one more row; the common rows are shared, not copied."""
@@ -258,7 +266,7 @@ class ResponseTable:
         twin.compliance, twin.modes, twin.count = self.compliance, self.modes, count + 1
         twin._axes, twin._blocks = None, {}
         twin._store = store = self._store.with_room(count)
-        twin.nodes, twin.weights, twin.starts = row.nodes, row.weights, row.starts
+        twin.rows = row.rows
         store.length = count + 1
         own, wide = slice(d * count, d * count + d), d * (count + 1)
         if row.near is not None:
@@ -291,8 +299,8 @@ class ResponseTable:
         """Sample a nodal field, shape (nodes, d), at the rows; returns (n, d)."""
         if self.count == 0:
             return np.zeros((0, field.shape[1]))
-        spread = field[self.nodes] * self.weights[:, None]
-        return np.asarray(np.add.reduceat(spread, self.starts, axis=0))
+        spread = field[self.rows.nodes] * self.rows.weights[:, None]
+        return np.asarray(np.add.reduceat(spread, self.rows.starts, axis=0))
 
     def loads(self, forces: Vector) -> Vector:
         """Spread forces on the first rows, (k, d), to `nodes`; returns (len(nodes), d), N."""
@@ -300,13 +308,13 @@ class ResponseTable:
             known = forces
             forces = np.zeros((self.count, known.shape[1]))
             forces[: len(known)] = known
-        lengths = np.diff(np.append(self.starts, len(self.nodes)))
-        return np.asarray(np.repeat(forces, lengths, axis=0) * self.weights[:, None])
+        lengths = np.diff(np.append(self.rows.starts, len(self.rows.nodes)))
+        return np.asarray(np.repeat(forces, lengths, axis=0) * self.rows.weights[:, None])
 
     def spread(self, forces: Vector) -> Vector:
         """Spread forces on the rows, shape (n, d), to all nodes; returns (nodes, d), N."""
         each, total = self.loads(forces), self.compliance.total_nodes
-        columns = [np.bincount(self.nodes, weights=f, minlength=total) for f in each.T]
+        columns = [np.bincount(self.rows.nodes, weights=f, minlength=total) for f in each.T]
         return np.stack(columns, axis=1)
 
 

@@ -8,9 +8,10 @@ import pytest
 from needle_sim_ros import Scene, SceneError
 from needle_sim_ros.benchmark import tips as tips_module
 from needle_sim_ros.benchmark.accuracy import accuracy
-from needle_sim_ros.benchmark.scaling_3d import scaling_3d
+from needle_sim_ros.benchmark.scaling_3d import SCENE, SIZES, scaling_3d
 from needle_sim_ros.benchmark.speed import speed
 from needle_sim_ros.benchmark.tips import TIPS, tips
+from needle_sim_ros.tissue.model import TissueModel
 
 COARSE = {
     "tissue.mesh.spacing_across": 4e-3,
@@ -52,6 +53,13 @@ def test_speed():
     assert figures["paper_over_tick_median"] > 1
     assert figures["tick_3d_waits"] == 0
     assert figures["newmark_over_quasi_static"] is None
+
+
+def test_scaling_is_about_a_scene_as_large_as_it_says():
+    *_, large = SIZES.items()
+    name, changes = large
+    assert name == "over 100 000 unknowns"
+    assert len(TissueModel(Scene.load(SCENE, changes)).free) > 100_000
 
 
 def test_scaling():

@@ -52,7 +52,7 @@ def test_points_stand_a_spacing_apart(track):
     np.testing.assert_allclose(track.points, POINTS, atol=1e-16)
     steps = np.linalg.norm(np.diff(track.points, axis=0), axis=1)
     np.testing.assert_allclose(steps, SPACING, rtol=1e-13)
-    assert track.count == track.table.count == 5
+    assert track.laid == track.table.count == 5
 
 
 def test_a_turning_track_converges_with_the_square_of_the_spacing(coarse_scene, layer):

@@ -135,7 +135,8 @@ def test_graded_lines(band, spacing, growth, largest):
     assert lines[0] == -1.0 and lines[-1] == 1.0
     assert steps.min() > 0
     neighbours = np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])
-    assert neighbours.max(initial=1.0) <= 2 * growth
+    # a band's own steps, which fit its width, may be longer than the largest beside it
+    assert neighbours.max(initial=1.0) <= 2 * max(growth, steps.max() / largest)
     assert steps.max() <= 1.5 * largest * (1 + 1e-12)
 
 
