@@ -27,9 +27,8 @@ from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
-# of the cutting rate of the last step, how much of it the next one is taken to cut beforehand
 _FORESIGHT = 0.98
-# ... and of the advance: what the tip bears must not hang on the step
+# how close to the cut a step has to come, of its advance: what the tip bears must not hang on it
 _CLOSE = 0.05
 _MOST_ROUNDS = 400
 # of a segment: just before the heading is taken; and how far a round cuts at least
@@ -82,12 +81,17 @@ class Contact:
     scene : Scene
     layer : TrackLayer
     laws : Laws
+
+    Attributes
+    ----------
+    foresight : float
+        Of the cutting rate of the last step, how much the next one is taken to cut beforehand.
     """
 
     foresight = _FORESIGHT
 
     def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
-        self._scene, self._layer, self.laws = scene, layer, laws
+        self._scene, self.layer, self.laws = scene, layer, laws
         self._balance = Balance(scene, laws)
         self._growth = TrackGrowth(scene, layer, self._balance)
         self._bevel = tip.spread_length(scene.needle)
@@ -103,7 +107,7 @@ class Contact:
 
     def change_laws(self, laws: Laws, state: ContactState) -> ContactState:
         """Take other laws from now on; return the state with the limits of its track."""
-        self.laws = self._layer.laws = self._balance.laws = laws
+        self.laws = self.layer.laws = self._balance.laws = laws
         if state.track is None:
             return state
         return state._replace(track=state.track.with_limits(laws))
@@ -154,7 +158,7 @@ class Contact:
             if ends[-1] <= -2 * self._half[-1]:
                 return self._released(state, step)
             raise CommandError(f"the tip would enter the tissue from below, at {ends.tolist()} m")
-        track = self._layer.touch(entry, step.after.axial)
+        track = self.layer.touch(entry, step.after.axial)
         fresh = self.at_rest()
         return fresh._replace(
             track=track,

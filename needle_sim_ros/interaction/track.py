@@ -199,7 +199,14 @@ class TrackLayer:
         What the mesh does not show about the needle.
     read : ndarray, shape (m, d), optional
         Where the readers of the table are, m.
+
+    Attributes
+    ----------
+    prepares : bool
+        Whether what comes after the next point is prepared beside the ticks.
     """
+
+    prepares = True
 
     def __init__(
         self,
@@ -298,7 +305,7 @@ class TrackLayer:
         """Have prepared beside the ticks what comes after the next point."""
         ahead = track.ahead
         assert ahead is not None and ahead.point is not None
-        if track.laid % _EVERY == 0:
+        if self.prepares and track.laid % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
             reach = max(_FORESEEN * track.spacing, _AT_LEAST)
             nodes = self.coupling.ahead(ahead.point, direction, reach)

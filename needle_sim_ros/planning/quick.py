@@ -28,10 +28,10 @@ from needle_sim_ros.tissue.mesh import planned_path, spacings
 
 # track spacings of a rollout per track spacing of the scene, which is to be a few dozen steps
 _COARSER = 2.5
-_COARSER_3D = 3.0
+_COARSER_3D = 3.2
 # ... and at least so many on the planned path
 _LEAST_POINTS = 15
-_LEAST_POINTS_3D = 40
+_LEAST_POINTS_3D = 35
 # spacings of the mesh within the reach to each side in 3D: unknowns grow with their square
 _COLUMNS = 5
 # the farthest that the base goes, or turns, in one step: spacings, rad
@@ -122,6 +122,8 @@ class QuickSimulator(Simulator):
     def _take(self, scene: Scene, built: BuiltTissue) -> None:
         super()._take(scene, built)
         self._contact_laws.foresight = _FORESIGHT
+        # the next rollout is elsewhere before it would be there
+        self._contact_laws.layer.prepares = False
 
     def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, int, bool]:
         spacing = self.scene.solver.track_spacing
