@@ -15,8 +15,8 @@ from needle_sim_ros.scene import Scene
 
 Progress = Callable[[int, int], None]
 
-CELLS, QUICK_CELLS = 504, 60
-TICKS, QUICK_TICKS = 1_000_000, 10_000
+CELLS, QUICK_CELLS = 504, 42
+TICKS, QUICK_TICKS = 1_000_000, 6_000
 # of the progress bar, a cell counts as so many ticks of the long run
 _TICKS_A_CELL = 1000
 
