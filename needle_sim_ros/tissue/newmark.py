@@ -115,9 +115,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class FreeMotion:
-    """Displacement at the end of the step without contact forces."""
+    """Displacement at the end of the step without contact forces, and how it changes."""
 
-    u: Vector
+    change: Vector
     nodal: Vector
     rule: NewmarkRule
 
@@ -158,23 +158,24 @@ class FullNewmark:
         rule = self._settling if settling else self.rule
         if not (state.u.any() or state.v.any() or state.a.any()):
             return FreeMotion(state.u, expand(self._model, state.u), rule)
-        inertia, damping = rule.history(state.u, state.v, state.a)
+        # for the change, not the displacement: velocities are differences by the time step,
+        # and those of displacements that are known to rounding only would be noise
+        inertia, damping = rule.history(np.zeros_like(state.u), state.v, state.a)
         load = self._model.mass @ (inertia + self.rule.alpha * damping)
-        if self.rule.beta:
-            load += self._model.stiffness @ (self.rule.beta * damping)
-        u = self._factor.solve(load)
-        return FreeMotion(u, expand(self._model, u), rule)
+        load += self._model.stiffness @ (self.rule.beta * damping - state.u)
+        change = self._factor.solve(load)
+        return FreeMotion(change, expand(self._model, state.u + change), rule)
 
     def complete(
         self, state: Motion, prediction: FreeMotion, table: ResponseTable, forces: Vector
     ) -> Motion:
         """Add the response to the contact forces and update the rates."""
-        u = prediction.u
+        change = prediction.change
         if forces.any():
             loads = table.spread(forces).ravel()[self._model.free]
-            u = u + self._factor.solve(loads)
-        v, a = prediction.rule.rates(u, state.u, state.v, state.a)
-        return Motion(u, v, a)
+            change = change + self._factor.solve(loads)
+        v, a = prediction.rule.rates(change, np.zeros_like(change), state.v, state.a)
+        return Motion(state.u + change, v, a)
 
     def at(
         self,
