@@ -26,12 +26,12 @@ from needle_sim_ros.tissue.build import BuiltTissue, plane_points
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import planned_path, spacings
 
-# track spacings of a rollout per track spacing of the scene, which is to be a few dozen steps
-_COARSER = 2.5
-_COARSER_3D = 3.2
+# track spacings of a rollout per track spacing of the scene, which is to be a few dozen steps;
+# in 3D a coarse track bends less, and a planner would take what only the scene's reaches for
+# out of reach: it keeps the scene's own
+_COARSER, _COARSER_3D = 2.5, 3.2
 # ... and at least so many on the planned path
-_LEAST_POINTS = 15
-_LEAST_POINTS_3D = 35
+_LEAST_POINTS, _LEAST_POINTS_3D = 15, 35
 # spacings of the mesh within the reach to each side in 3D: unknowns grow with their square
 _COLUMNS = 5
 # the farthest that the base goes, or turns, in one step: spacings, rad
@@ -74,14 +74,14 @@ def planning_scene(scene: Scene, reach: float | None = None) -> Scene:
     """
     changes: dict[str, object] = {"solver.dynamics": "quasi_static", "solver.modes": 0}
     spacing = scene.solver.track_spacing
-    coarser, points = _COARSER, _LEAST_POINTS
-    if scene.dimension == 3:
-        coarser, points = _COARSER_3D, _LEAST_POINTS_3D
-    spacing = max(spacing, min(coarser * spacing, planned_path(scene).depth / points))
-    changes["solver.track_spacing"] = spacing
     along = scene.tissue.mesh.spacing_along
     if scene.dimension == 2:
+        spacing = max(spacing, min(_COARSER * spacing, planned_path(scene).depth / _LEAST_POINTS))
         changes["tissue.mesh.spacing_along"] = spacing if along is None else max(along, spacing)
+    elif reach is None:
+        coarser = min(_COARSER_3D * spacing, planned_path(scene).depth / _LEAST_POINTS_3D)
+        spacing = max(spacing, coarser)
+    changes["solver.track_spacing"] = spacing
     if reach is not None:
         changes["markers"] = []  # a planner asks about its target alone
         across, _, band = spacings(scene)
