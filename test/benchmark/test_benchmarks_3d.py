@@ -23,8 +23,12 @@ COARSE = {
 
 def test_accuracy():
     """Levels that are refined together; the next to the finest is nearer to it than the default."""
-    scene = Scene.load("layered_inclusion_3d", COARSE)
-    result = accuracy(scene, quick=True)
+    sizes = {
+        "tissue.mesh.spacing_across": 6e-3,
+        "tissue.mesh.spacing_along": 12e-3,
+        "solver.track_spacing": 12e-3,
+    }
+    result = accuracy(Scene.load("layered_inclusion_3d", COARSE | sizes), quick=True)
     figures = {name.rpartition(".")[2]: value for name, value in result.figures.items()}
     assert all(name.startswith("layered_inclusion_3d.quasi_static.") for name in result.figures)
     runs = ["one level coarser", "default", "reference, one level coarser", "reference"]
