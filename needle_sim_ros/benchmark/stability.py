@@ -15,7 +15,7 @@ from needle_sim_ros.scene import Scene
 
 Progress = Callable[[int, int], None]
 
-CELLS, QUICK_CELLS = 504, 42
+CELLS, QUICK_CELLS = 504, 36
 TICKS, QUICK_TICKS = 1_000_000, 6_000
 # of the progress bar, a cell counts as so many ticks of the long run
 _TICKS_A_CELL = 1000
