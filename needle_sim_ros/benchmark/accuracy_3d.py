@@ -13,7 +13,13 @@ from collections.abc import Callable
 from needle_sim_ros.benchmark.accuracy import Measured, Runs, row_of
 from needle_sim_ros.benchmark.result import BenchmarkResult
 from needle_sim_ros.benchmark.trajectory import errors, hurried
-from needle_sim_ros.benchmark.variants import Changes, Variant, method_changes, refined
+from needle_sim_ros.benchmark.variants import (
+    Changes,
+    Variant,
+    admissible,
+    method_changes,
+    refined,
+)
 from needle_sim_ros.errors import SceneError
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.mesh import spacings
@@ -24,7 +30,7 @@ _HASTE, _QUICK_HASTE = 4.0, 16.0
 _NEXT, _REFERENCE = "reference, one level coarser", "reference"
 # growth of the cells away from the needle: where markers are, these decide
 _FINE_GROWTH = 1.2
-# spacings of the reference where cells are wider than the needle, as parts of the scene's
+# spacings of the reference where the track is finer than the cells, as parts of the scene's
 _THIN_QUICK, _THIN = 0.75, 0.65
 
 
@@ -63,14 +69,14 @@ def accuracy_3d(
     scene = hurried(scene, haste)
     own = method_changes(scene, "quasi_static")
     growth = scene.tissue.mesh.growth
-    levels = _levels(scene, quick)
     singles: dict[str, Changes] = {
         "mesh across x 0.7": refined(scene, 0.7, 1.0, 1.0, growth),
         "mesh along x 1/2": refined(scene, 1.0, 0.5, 1.0, growth),
         "track x 1/2": refined(scene, 1.0, 1.0, 0.5, growth),
         "growth 1.2": {"tissue.mesh.growth": _FINE_GROWTH},
     }
-    chosen = levels if quick else levels | singles
+    allowed = {name: each for name, each in singles.items() if admissible(scene, each)}
+    chosen = levels(scene, quick) | ({} if quick else allowed)
     runs = Runs(scene, None, progress, len(chosen))
     made = {name: runs.measure({**own, **changes}) for name, changes in chosen.items()}
     section = (
@@ -86,24 +92,31 @@ def accuracy_3d(
     return result
 
 
-def _levels(scene: Scene, quick: bool) -> dict[str, Changes]:
-    """Return the settings of the runs that are refined together, the reference last."""
+def levels(scene: Scene, quick: bool) -> dict[str, Changes]:
+    """Return the settings of the runs that are refined together, by name, the reference last.
+
+    Parameters
+    ----------
+    scene : Scene
+    quick : bool
+        As of :func:`accuracy_3d`.
+    """
     growth = scene.tissue.mesh.growth
-    across, along, _ = spacings(scene)
-    thin = across >= along and across > scene.needle.radius
-    fine = min(growth, _FINE_GROWTH)
-    if thin:
-        # a track finer than the cells: these matter less than it, and the responses between
-        # the many nodes about a path that bends take memory with the sixth power of their size
+    _, along, _ = spacings(scene)
+    if scene.solver.track_spacing < along:
+        # the cells matter less than the track, and the responses between the many nodes about
+        # a path that bends take memory with the sixth power of their size
         least = _THIN_QUICK if quick else _THIN
-        next_to, reference = (0.5 * (1 + least),) * 3, (least,) * 3
+        between, finest = (0.5 * (1 + least),) * 3, (least,) * 3
+        fine_growth = growth
     else:
-        next_to, reference = (0.7, 0.5, 0.5), (0.55, 0.5, 0.5)
+        between, finest = (0.7, 0.5, 0.5), (0.55, 0.5, 0.5)
+        fine_growth = min(growth, _FINE_GROWTH)
     return {
         "one level coarser": refined(scene, 1.5, 1.5, 1.5, growth),
         "default": {},
-        _NEXT: refined(scene, *next_to, growth),
-        _REFERENCE: refined(scene, *reference, growth if thin else fine),
+        _NEXT: refined(scene, *between, growth),
+        _REFERENCE: refined(scene, *finest, fine_growth),
     }
 
 

@@ -123,10 +123,11 @@ def variants(scene: Scene, quick: bool) -> list[Variant]:
         default: dict[str, Changes] = {"default": {}}
         for name, changes in (default | settings).items():
             runs.append(Variant(method, name, {**own, **changes}))
-    return [run for run in runs if _admissible(scene, run.changes)]
+    return [run for run in runs if admissible(scene, run.changes)]
 
 
-def _admissible(scene: Scene, changes: Changes) -> bool:
+def admissible(scene: Scene, changes: Changes) -> bool:
+    """Return whether a scene allows changes."""
     try:
         scene.with_changes(changes)
     except SceneError:

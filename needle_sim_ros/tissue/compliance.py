@@ -67,10 +67,9 @@ class NodalCompliance:
         self._slot = np.full(model.nodes, -1, dtype=np.intp)
         self._ready = np.zeros(model.nodes, dtype=bool)  # its responses are there
         self._kept = np.empty(0, dtype=np.intp)
-        self._first = np.full(tiles.count, -1, dtype=np.intp)  # slot of a tile's first node
-        self._read_to = np.zeros(
-            tiles.count, dtype=np.intp
-        )  # slots that its responses were read at
+        # by tile: slot of its first node, and how many slots its responses were read at
+        self._first = np.full(tiles.count, -1, dtype=np.intp)
+        self._read_to = np.zeros(tiles.count, dtype=np.intp)
         self._lacking = False
         self._blocks = np.zeros((0, 0))
         self._read = np.zeros((readers.shape[0], 0))

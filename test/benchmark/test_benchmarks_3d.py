@@ -8,9 +8,11 @@ import pytest
 from needle_sim_ros import Scene, SceneError
 from needle_sim_ros.benchmark import tips as tips_module
 from needle_sim_ros.benchmark.accuracy import accuracy
+from needle_sim_ros.benchmark.accuracy_3d import levels
 from needle_sim_ros.benchmark.scaling_3d import SCENE, SIZES, scaling_3d
 from needle_sim_ros.benchmark.speed import speed
 from needle_sim_ros.benchmark.tips import TIPS, tips
+from needle_sim_ros.benchmark.variants import admissible
 from needle_sim_ros.tissue.model import TissueModel
 
 COARSE = {
@@ -41,6 +43,13 @@ def test_accuracy():
     assert 0 < figures["max_error"] <= figures["at_equal_times"] == worst[1]
     quantities = ("tip_deflection", "base_force", "friction_force", "markers")
     assert figures["max_error"] == max(figures[name] for name in quantities)
+
+
+@pytest.mark.parametrize("name", ["layered_inclusion_3d", "bevel_gelatin_22g", "biopsy_steel"])
+@pytest.mark.parametrize("quick", [True, False])
+def test_scenes_allow_the_levels_that_they_are_compared_with(name, quick):
+    scene = Scene.load(name)
+    assert all(admissible(scene, changes) for changes in levels(scene, quick).values())
 
 
 def test_accuracy_refuses_mesh_files():
