@@ -22,6 +22,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction import friction
 from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
+from needle_sim_ros.interaction.lateral_hold import LateralHold
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
@@ -109,6 +110,8 @@ class Balance:
         width = tissue.thickness / bevel if scene.dimension == 2 else 1.0
         self._grip = tissue.youngs_modulus * width
         self._tip_softness = _TIP_SOFTNESS / (self._grip * bevel)
+        self._spacing, self._bevel = spacing, bevel
+        self._hold: LateralHold | None = None
 
     def dent(self, force: float) -> float:
         """Return how far a tip force, N, presses the tip into its own contact, m."""
@@ -221,7 +224,7 @@ class Balance:
             rigidity=self._rigidity,
             tolerance=self._tolerance,
         )
-        found, slipped = self._solved(problem, start, length, bounds, step.duration)
+        found, slipped = self._solved(problem, start, length, bounds, step)
 
         forces = found.forces
         if n < track.laid:
@@ -257,27 +260,46 @@ class Balance:
         start: FrictionStart,
         length: Vector,
         bounds: NDArray[np.int8],
-        duration: float,
+        step: Step,
     ) -> tuple[TrackForces, Vector]:
         """Solve for the forces; return them and the slip since the points last stuck."""
         if start.sliding:
             limit = friction.sliding_limit(self.laws, start) * length
             limit *= start.sliding
-            found = problem.sliding(limit, bounds)
+            found = problem.sliding(self._held(problem, step), limit, bounds)
             if found is not None:
                 return found, start.slip + np.abs(found.slid)
         low, high = friction.limits(self.laws, start)
         low, high = -low * length, high * length
         found = None
         if not start.sliding and bounds.all():
-            found = problem.sliding(np.where(bounds[:-1] > 0, high, low), bounds)
+            limit = np.where(bounds[:-1] > 0, high, low)
+            found = problem.sliding(self._held(problem, step), limit, bounds)
         if found is None:
             found = problem.bounded(low, high, bounds)
         bound = np.where(found.friction > 0, high, -low)
         slipped = friction.slip_after(
-            self.laws, start, found.status[:-1], found.friction, bound, found.slid, duration
+            self.laws, start, found.status[:-1], found.friction, bound, found.slid, step.duration
         )
         return found, slipped
+
+    def _held(self, problem: SlidingProblem, step: Step) -> LateralHold:
+        """Return what solves for the lateral forces, factorised where the tip will be deepest.
+
+        A needle that turns changes all of it in every step.
+        """
+        table, axes, arclength = problem.table, step.after.terms, problem.arclength
+        if step.turning:
+            return LateralHold(table, axes, arclength, problem.softness, self._rigidity)
+        hold, held = self._hold, len(arclength)
+        if hold is None or not hold.serves(table, axes, held):
+            depth = min(held * self._spacing, self._length)
+            least = self._places[:held] + (self._length - depth)
+            softness = self._softness(depth, held, self._bevel, self._spacing)
+            varying = min(held - 1, int(self._bevel / self._spacing) + 1)
+            hold = LateralHold(table, axes, least, softness, self._rigidity, varying)
+            self._hold = hold
+        return hold
 
     def _softness(self, depth: float, held: int, bevel: float, spacing: float) -> Vector:
         """Return how much softer the needle holds track points near its tip, m/N, (held,).

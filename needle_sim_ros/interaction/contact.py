@@ -61,9 +61,11 @@ class Step:
         Displacement (d,) of a footprint, by its reading, under forces on the rows of a table.
     advance : float
         How far the base moves along the needle, m.
+    turning : bool
+        Whether the base turns.
     """
 
-    __slots__ = ("advance", "after", "before", "duration", "free", "sample")
+    __slots__ = ("advance", "after", "before", "duration", "free", "sample", "turning")
 
     def __init__(
         self, before: BasePose, after: BasePose, duration: float, free: FreeRows, sample: Sampler
@@ -71,6 +73,7 @@ class Step:
         self.before, self.after, self.duration = before, after, duration
         self.free, self.sample = free, sample
         self.advance = -after.ahead(before)
+        self.turning = after.terms is not before.terms
 
 
 class Contact:

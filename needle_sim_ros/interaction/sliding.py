@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
-from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact_solve import solve_contact
+from needle_sim_ros.interaction.lateral_hold import LateralHold, bending
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.tissue.response import ResponseTable
 
@@ -107,11 +106,15 @@ class SlidingProblem:
     rigidity: float
     tolerance: float
 
-    def sliding(self, friction: Vector, status: NDArray[np.int8]) -> TrackForces | None:
+    def sliding(
+        self, hold: LateralHold, friction: Vector, status: NDArray[np.int8]
+    ) -> TrackForces | None:
         """Solve with friction and tip at guessed bounds; None if they do not hold.
 
         Parameters
         ----------
+        hold : LateralHold
+            Of the held points.
         friction : ndarray, shape (n,)
             At its limits, N.
         status : ndarray of int8, shape (n + 1,)
@@ -127,13 +130,7 @@ class SlidingProblem:
         right = (pose.origin - self.free) @ pose.lateral.T
         for a, gap in enumerate(right.T):
             gap -= self._component(a, len(pose.lateral), k, len(axial)) @ axial
-        # row-major lower is column-major upper
-        _, lateral, info = lapack.dposv(
-            self._lateral_compliance().T, right.T.ravel(), lower=0, overwrite_a=1, overwrite_b=1
-        )
-        if info != 0:
-            raise SolverError("the lateral compliance is not positive definite")
-        lateral = lateral.reshape(-1, k)
+        lateral = hold.forces(right.T.ravel(), self.arclength, self.softness).reshape(-1, k)
         forces = axial[:, None] * pose.axial
         forces[:k] += lateral.T @ pose.lateral
         moved = (self.table.between(len(axial)) @ forces.ravel()).reshape(forces.shape)
@@ -150,33 +147,6 @@ class SlidingProblem:
         return TrackForces(
             lateral, friction, tip, forces, moved, strain, slid, status, overlap, 0.0, 1
         )
-
-    def _lateral_compliance(self) -> Vector:
-        """Return what the lateral forces do to the gaps, (m k, m k); lower triangle only."""
-        k, m = len(self.arclength), len(self.pose.lateral)
-        bend = self._bend()
-        if m == 1:
-            bend += self._component(0, 0, k, k)
-            return bend
-        matrix = np.empty((m * k, m * k))
-        for a in range(m):
-            rows = slice(a * k, (a + 1) * k)
-            for b in range(a + 1):
-                matrix[rows, b * k : (b + 1) * k] = self._component(a, b, k, k)
-            matrix[rows, rows] += bend
-        return matrix
-
-    def _bend(self) -> Vector:
-        """Return what lateral forces along one axis do to the needle and its hold, (k, k), m/N.
-
-        Right on the diagonal and below it; above it is less than it should be.
-        """
-        s = self.arclength
-        # C_n = a^2 (b - a / 3) / 2EI: with a and b exchanged it is less by (b - a)^3 / 6EI
-        bend = s[:, None] - s * (1.0 / 3.0)
-        bend *= s * s * (0.5 / self.rigidity)
-        bend.reshape(-1)[:: len(s) + 1] += self.softness
-        return bend
 
     def _component(self, u: int, v: int, rows: int, columns: int) -> Vector:
         """Return the compliance along axis u of the first rows per force along axis v."""
@@ -197,7 +167,7 @@ class SlidingProblem:
         wide = m * k
         size = wide + n + 1
         matrix = np.empty((size, size))
-        bend = self._bend()
+        bend = bending(self.arclength, self.softness, self.rigidity)
         bend = np.maximum(bend, bend.T)
         axial = self._component(m, m, n, n)
         pressed = axial @ self.share

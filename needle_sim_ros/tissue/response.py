@@ -153,6 +153,10 @@ class ResponseTable:
         )
         self.rows = Rows()
 
+    def shares(self, other: ResponseTable, rows: int) -> bool:
+        """Return whether the first so many rows are known to be those of another table."""
+        return self._store is other._store and rows <= min(self.count, other.count)
+
     def between(self, rows: int | None = None) -> Vector:
         """Displacement of the first rows per force on them within a step, (n d, n d), m/N."""
         size = self.compliance.dimension * (self.count if rows is None else rows)
