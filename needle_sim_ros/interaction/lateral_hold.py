@@ -139,7 +139,7 @@ class LateralHold:
         along = np.zeros((2 + k - self._first, k))
         along[0], along[1] = self._arclength, 1.0
         along[2:, self._first :] = np.eye(k - self._first)
-        kinds = np.kron(np.eye(m), along)
+        kinds = np.kron(np.eye(m), along).astype(float, copy=False)
         answers = lapack.dpotrs(self._factor, kinds.T, lower=0)[0].T
-        self._change = kinds, answers, kinds @ answers.T
-        return self._change
+        prepared = self._change = kinds, answers, np.asarray(kinds @ answers.T)
+        return prepared
