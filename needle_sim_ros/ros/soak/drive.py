@@ -14,13 +14,15 @@ import numpy as np
 from needle_sim_ros.ros.domain import free_domain
 from needle_sim_ros.ros.soak.endings import end_nodes
 from needle_sim_ros.ros.soak.hostility import provoke
-from needle_sim_ros.ros.soak.load import load
+from needle_sim_ros.ros.soak.idle import idle_overruns
+from needle_sim_ros.ros.soak.load import PRIORITY, load
 
 if TYPE_CHECKING:
     from needle_sim_ros.benchmark.soak import Plan
     from needle_sim_ros.scene import Scene
 
 Figures = dict[str, float | None]
+_IDLE = 10.0  # s of the machine alone
 
 
 def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figures:
@@ -52,6 +54,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
             plan.cycles,
             lambda seconds: advance(seconds / total),
         )
+        idle = idle_overruns(plan.rate, loaded.tick_p50, min(_IDLE, plan.steady), PRIORITY)
         share = plan.hostile_seconds / total / plan.hostile
         hostility = provoke(
             scene,
@@ -69,6 +72,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
     return {
         "ticks": loaded.ticks,
         "overrun_fraction": loaded.overruns / max(1, loaded.ticks + loaded.overruns),
+        "idle_loop_overrun_fraction": idle,
         "lost_messages": loaded.lost,
         "missing_ticks_recorded": loaded.gaps,
         "rss_growth_mb": loaded.rss_growth,

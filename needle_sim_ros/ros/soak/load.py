@@ -19,7 +19,7 @@ from needle_sim_ros.ros.soak.watch import Watch
 from needle_sim_ros.session.reader import read_session
 
 _WARM = 5.0  # s before memory and overruns count
-_PRIORITY = 20.0  # of the clock loop, where the system permits it
+PRIORITY = 20.0  # of the clock loop, where the system permits it
 _LATENCY = 15.0  # s of measuring the latency, at most
 _LISTENERS = ("base_wrench", "tissue_markers")
 _LATENCY_TOPICS = ("base_wrench", "~/applied_velocity")
@@ -88,7 +88,7 @@ def load(
     result = Load()
     bags = place / "bags"
     with ExitStack() as stack:
-        given = {**parameters, "record_root": str(bags), "realtime_priority": _PRIORITY}
+        given = {**parameters, "record_root": str(bags), "realtime_priority": PRIORITY}
         node = stack.enter_context(NodeProcess(given, domain, place / "load.log"))
         watch = stack.enter_context(Watch(domain, node.check))
         watch.wait_ready()
