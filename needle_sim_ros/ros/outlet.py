@@ -100,10 +100,8 @@ class Outlet:
         if sink is not None:
             sink.publish(encode(stamp))
 
-    def start(
-        self, parent: Path, scene: Scene, period: float, history: History, split: Split
-    ) -> Path:
-        """Begin a session in a new folder of `parent`; return the folder.
+    def prepare(self, parent: Path, scene: Scene, period: float, split: Split) -> SessionWriter:
+        """Return a session in a new folder of `parent`, for :meth:`attach`; takes its time.
 
         Raises
         ------
@@ -116,7 +114,7 @@ class Outlet:
         for attempt in range(_NAMES):
             folder = new_folder(parent, scene.name)
             try:
-                self._session = SessionWriter(
+                return SessionWriter(
                     folder,
                     scene,
                     period,
@@ -124,16 +122,19 @@ class Outlet:
                     tissue_frame=naming.tissue_frame,
                     base_frame=naming.base_frame,
                     settings=naming.settings(),
-                    history=history,
                     split=split,
+                    begin=False,
                 )
             except FolderTakenError:  # another node took the name just now
                 if attempt + 1 == _NAMES:
                     raise
-            else:
-                break
+        raise AssertionError
+
+    def attach(self, session: SessionWriter, history: History) -> None:
+        """Record into a session from now on, after a history that is over."""
+        session.begin(history)
+        self._session = session
         self.epoch = 0  # resets before it are no business of this session's
-        return folder
 
     def detach(self) -> SessionWriter:
         """Return the session being recorded, into which nothing goes any more.

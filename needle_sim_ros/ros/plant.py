@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated stage, needle and tissue behind the node, without ROS.
 
-One lock keeps ticks, resets and the start and end of recordings apart; commands come in
-without it.
+One lock keeps ticks, resets and the start and end of recordings apart, another one resets
+and recordings in the making; commands come in without them.
 """
 
 from __future__ import annotations
@@ -83,6 +83,7 @@ class Plant:
         self._outlet = Outlet(naming, sinks)
         self._warn = warn
         self._lock = threading.Lock()
+        self._setting = threading.Lock()  # for what keeps a scene through more than one tick
         self._history = History()
         self._command: tuple[Motion, BaseCommand] = (STILL, STILL.command())
         self._begin()
@@ -148,7 +149,7 @@ class Plant:
 
     def reset(self) -> None:
         """Go back to the scene's start; the command in force is forgotten."""
-        with self._lock:
+        with self._setting, self._lock:
             self._simulator.reset()
             self._outlet.epoch += self.stamp
             self.commands.clear()
@@ -180,10 +181,13 @@ class Plant:
         SessionError
             When one is being recorded already, or none can be.
         """
-        with self._lock:
-            folder = self._outlet.start(parent, self.scene, self.period, self._history, split)
-            self._event("recording started")
-            return folder
+        # Not under the ticks' lock: to make the file takes longer than some ticks.
+        with self._setting:
+            session = self._outlet.prepare(parent, self.scene, self.period, split)
+            with self._lock:
+                self._outlet.attach(session, self._history.copy())
+                self._event("recording started")
+        return session.folder
 
     def stop_recording(self, timeout: float = 5.0) -> tuple[Path, RecorderStatus]:
         """Finish the session; return its folder and how it ended.

@@ -54,6 +54,13 @@ class History:
                 self._rows = array("d")
         self._last, self._count = motion, 1
 
+    def copy(self) -> History:
+        """Return the history up to now, which does not go on."""
+        twin = History(self._limit)
+        twin._rows, twin._last, twin._count = self._rows[:], self._last, self._count
+        twin.ticks, twin.complete, twin.changes = self.ticks, self.complete, self.changes[:]
+        return twin
+
     def change(self, values: Mapping[str, float]) -> None:
         """Note that laws changed, by keys below `interaction`, before the next tick."""
         self.changes.append((self.ticks, dict(values)))
@@ -83,7 +90,9 @@ class History:
         """
         if not self.complete:
             return "null"
-        return json.dumps([[motion.kind, n, motion.values()] for motion, n in self.runs()])
+        # row by row: the encoder would keep the interpreter lock for tenths of a second
+        rows = (json.dumps([motion.kind, n, motion.values()]) for motion, n in self.runs())
+        return f"[{', '.join(rows)}]"
 
 
 def motions_from_json(text: str) -> list[tuple[Motion, int]] | None:

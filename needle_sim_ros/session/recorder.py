@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from needle_sim_ros.session.bag import Bag
@@ -57,9 +57,17 @@ class Recorder:
         Bytes that may wait; what comes beyond is lost and counted.
     interval : float
         Wall time between chunks, s.
+    before : callable
+        Writes to the bag what comes before all messages, in the thread.
     """
 
-    def __init__(self, bag: Bag, capacity: int = _CAPACITY, interval: float = _INTERVAL) -> None:
+    def __init__(
+        self,
+        bag: Bag,
+        capacity: int = _CAPACITY,
+        interval: float = _INTERVAL,
+        before: Callable[[], object] = lambda: None,
+    ) -> None:
         self._bag = bag
         self._capacity = capacity
         self._interval = interval
@@ -75,6 +83,7 @@ class Recorder:
         self._gone = False
         self._closing = False
         self._wake = threading.Event()
+        self._before = before
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -132,6 +141,10 @@ class Recorder:
         return self.status
 
     def _run(self) -> None:
+        try:
+            self._before()
+        except Exception as error:
+            self._note(0, 0, _reason(error))
         closing = False
         while not closing:
             self._wake.wait(self._interval)

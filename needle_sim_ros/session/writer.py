@@ -44,7 +44,7 @@ class SessionWriter:
         Made here; must not exist.
     scene : Scene
         What is simulated, with every override applied, as it was when the simulation
-        started; `history` says what has changed since.
+        started.
     tick_period : float
         The dt of every tick, s.
     names : mapping of Channel to str, optional
@@ -53,10 +53,11 @@ class SessionWriter:
         Frame ids.
     settings : mapping, optional
         More for the session to say about itself.
-    history : History, optional
-        What was applied before, if the simulation is not at its start.
     split : Split
         When to go on in another file.
+    begin : bool
+        Whether the simulation is at its start, so that messages may follow at once;
+        otherwise :meth:`begin` comes first.
 
     Raises
     ------
@@ -76,8 +77,8 @@ class SessionWriter:
         tissue_frame: str = TISSUE_FRAME,
         base_frame: str = BASE_FRAME,
         settings: Mapping[str, str] | None = None,
-        history: History | None = None,
         split: Split = NO_SPLIT,
+        begin: bool = True,
     ) -> None:
         self.folder = folder
         self._encoders = channels.output_encoders(tissue_frame, base_frame)
@@ -86,35 +87,46 @@ class SessionWriter:
         topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
         scene_text = scene.to_yaml().encode()
         mesh = mesh_attachment(scene)
-        about = {
+        self._about = {
             "scene": scene.name,
             "scene_sha256": sha256(scene_text).hexdigest(),
             "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "tick_period": repr(tick_period),
-            "start_tick": str(history.ticks if history else 0),
             "tissue_frame": tissue_frame,
             "base_frame": base_frame,
             **versions(scene),
             **(settings or {}),
             **{f"topic.{channel.role}": name for channel, name in topics.items()},
         }
-        bag = Bag(folder, split)
+        self._bag = bag = Bag(folder, split)
         try:
             bag.add_attachment(SCENE_FILE, "application/yaml", scene_text)
             if mesh is not None:
                 bag.add_attachment(mesh[0], "application/octet-stream", mesh[1])
-            if history is not None and history.ticks:
-                bag.add_attachment(HISTORY_FILE, "application/json", history.to_json().encode())
-            if history is not None and history.changes:
-                bag.add_attachment(
-                    CHANGES_FILE, "application/json", history.changes_json().encode()
-                )
-            bag.add_metadata(ABOUT, about)
             self._ids = {c: bag.add_topic(Topic(name, c.type)) for c, name in topics.items()}
         except OSError as error:
             bag.file.abandon()
             raise SessionError(f"cannot record in {folder}: {error.strerror}") from error
-        self._recorder = Recorder(bag)
+        if begin:
+            self.begin(History())
+
+    def begin(self, history: History) -> None:
+        """Let messages follow; returns at once, whatever came before is written beside it.
+
+        Parameters
+        ----------
+        history : History
+            What was applied before; not changed any more.
+        """
+        self._recorder = Recorder(self._bag, before=lambda: self._write_before(history))
+
+    def _write_before(self, history: History) -> None:
+        kind, bag = "application/json", self._bag
+        if history.ticks:
+            bag.add_attachment(HISTORY_FILE, kind, history.to_json().encode())
+        if history.changes:
+            bag.add_attachment(CHANGES_FILE, kind, history.changes_json().encode())
+        bag.add_metadata(ABOUT, {**self._about, "start_tick": str(history.ticks)})
 
     @property
     def status(self) -> RecorderStatus:
