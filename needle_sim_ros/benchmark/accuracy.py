@@ -144,7 +144,8 @@ def accuracy(
     -------
     BenchmarkResult
         Errors are fractions of the largest magnitude of each quantity in the reference; a
-        figure is the largest over all quantities and the whole protocol.
+        figure is the largest over all quantities and the whole protocol. Ticks are evened
+        out: see :func:`even_out`.
     """
     if scene.dimension == 3:
         from needle_sim_ros.benchmark.accuracy_3d import accuracy_3d
@@ -183,7 +184,23 @@ def accuracy(
         if row["run"] == _HALF:
             result.figures[f"time_step.{row['method']}.max_error"] = row["max_error"]
             result.figures[f"time_step.{row['method']}.within_a_tick"] = row["within_a_tick"]
+    even_out(result.table)
     return result
+
+
+def even_out(rows: list[Row]) -> None:
+    """Scale ticks to a machine on which the paper's iteration always takes its median.
+
+    What else runs on the machine changes from one run to the next, and would decide which
+    setting looks faster. As measured they stay in ``measured_tick_ms``.
+    """
+    paced = [row for row in rows if row["paper_over_it"] is not None]
+    if not paced:
+        return
+    paper = float(np.median([row["tick_ms"] * row["paper_over_it"] for row in paced]))
+    for row in paced:
+        row["measured_tick_ms"] = row["tick_ms"]
+        row["tick_ms"] = paper / row["paper_over_it"]
 
 
 def _full(method: str) -> str:

@@ -57,7 +57,7 @@ def pareto_figure(rows: Sequence[Row], title: str) -> Figure:
         ax.grid(True, which="major", color="#e5e5e5", linewidth=0.6)
         ax.set_axisbelow(True)
         _plain_ticks(ax)
-        ax.set_xlabel("median tick, needle inserted (ms)")
+        ax.set_xlabel("median tick, needle inserted (ms; load of the machine evened out)")
         ax.set_ylabel("largest error of any quantity over the protocol (%)")
         ax.set_title(title)
         ax.legend(loc="center right", bbox_to_anchor=(1.0, 0.62), borderaxespad=0.0)

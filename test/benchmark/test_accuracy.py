@@ -4,7 +4,7 @@
 import pytest
 
 from needle_sim_ros import Scene
-from needle_sim_ros.benchmark.accuracy import accuracy
+from needle_sim_ros.benchmark.accuracy import accuracy, even_out
 from needle_sim_ros.benchmark.recommend import recommend
 from needle_sim_ros.benchmark.variants import variants
 from needle_sim_ros.view.files import save_figure
@@ -56,6 +56,20 @@ def test_rows_hold_the_settings_that_made_them(measured):
     coarse = next(row for row in result.table if row["run"] == "track x 2")
     assert coarse["settings"].endswith("solver.track_spacing=0.008")
     assert coarse["unknowns"] < result.table[0]["unknowns"]
+
+
+def test_ticks_are_in_proportion_to_the_papers_iteration(measured):
+    """As long as in its own run, for a machine that is equally busy in all of them."""
+    paced = [row["tick_ms"] * row["paper_over_it"] for row in measured[1].table]
+    assert paced == pytest.approx([paced[0]] * len(paced))
+    rows = [
+        {"tick_ms": 2.0, "paper_over_it": 5.0},  # the paper's iteration took 10
+        {"tick_ms": 4.0, "paper_over_it": 5.0},  # 20: everything took twice as long
+        {"tick_ms": 1.0, "paper_over_it": 10.0},
+    ]
+    even_out(rows)
+    assert [row["tick_ms"] for row in rows] == [2.0, 2.0, 1.0]
+    assert [row["measured_tick_ms"] for row in rows] == [2.0, 4.0, 1.0]
 
 
 def test_recommendation(measured):
