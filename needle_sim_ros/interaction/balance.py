@@ -41,13 +41,6 @@ if TYPE_CHECKING:
 _TIP_SOFTNESS = 0.03
 
 
-class TipLimit(NamedTuple):
-    """Largest tip force, N, and the length over which the tip spreads it, m."""
-
-    force: float
-    spread: float
-
-
 class BalanceSolution(NamedTuple):
     """Forces and kinematics of a step: the last fields of ContactState, in its order, and more.
 
@@ -173,7 +166,7 @@ class Balance:
         memory: FrictionMemory,
         status: NDArray[np.int8],
         depth: float,
-        limit: TipLimit,
+        limit: float,
     ) -> BalanceSolution:
         """Balance the inserted needle with its tip at a depth of the track.
 
@@ -189,7 +182,8 @@ class Balance:
             Guess of the bounds that hold: friction of each point, and last the tip.
         depth : float
             m.
-        limit : TipLimit
+        limit : float
+            Largest tip force, N.
         """
         pose, h = step.after, track.spacing
         last = min(int(depth / h), track.laid - 2)  # the last point that the tip has passed
@@ -197,7 +191,7 @@ class Balance:
         held = max(1, last + (depth - h * last > LEAST * h))
         free = step.free(track.table)
         length = coverage(depth, n, h)
-        share = tip_share(length, depth, limit.spread, h)
+        share = tip_share(length, depth, self._bevel, h)
         bounds = friction.guess(status, n)
         start = FrictionStart.of(track, memory, bounds, step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
@@ -213,14 +207,14 @@ class Balance:
             pose=pose,
             table=track.table,
             arclength=self._places[:held] + (self._length - depth),
-            softness=self._softness(depth, held, limit.spread, h),
+            softness=self._softness(depth, held),
             presliding=presliding,
             share=share,
             tip_softness=self._tip_softness,
             free=track.points[:held] + free[:held],
             elastic=elastic,
             reach=self._length + track.dent - pose.reach(track.place(depth)) - float(share @ along),
-            tip_bound=limit.force,
+            tip_bound=limit,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
         )
@@ -295,13 +289,13 @@ class Balance:
         if hold is None or not hold.serves(table, axes, held):
             depth = min(held * self._spacing, self._length)
             least = self._places[:held] + (self._length - depth)
-            softness = self._softness(depth, held, self._bevel, self._spacing)
+            softness = self._softness(depth, held)
             varying = min(held - 1, int(self._bevel / self._spacing) + 1)
             hold = LateralHold(table, axes, least, softness, self._rigidity, varying)
             self._hold = hold
         return hold
 
-    def _softness(self, depth: float, held: int, bevel: float, spacing: float) -> Vector:
+    def _softness(self, depth: float, held: int) -> Vector:
         """Return how much softer the needle holds track points near its tip, m/N, (held,).
 
         The bevel thins the needle to nothing at the tip: there it holds the tissue
@@ -309,7 +303,7 @@ class Balance:
         lateral force then has no peak at the tip that only the track spacing bounds.
         The entry is held by its edge.
         """
-        soft = np.zeros(held)
+        soft, bevel, spacing = np.zeros(held), self._bevel, self._spacing
         last = held - 1
         behind = depth - last * spacing  # the tip is so far beyond a point
         while last > 0 and behind < bevel:

@@ -15,7 +15,7 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import Balance, TipLimit
+from needle_sim_ros.interaction.balance import Balance
 from needle_sim_ros.interaction.friction import STILL, FrictionMemory
 from needle_sim_ros.interaction.growth import TrackGrowth
 from needle_sim_ros.interaction.laws import Laws
@@ -294,15 +294,15 @@ class Contact:
         engaged: bool,
         advance: float,
         duration: float,
-    ) -> TipLimit:
-        """Return what the tip bears: cutting while it advances, less and less in a hold."""
+    ) -> float:
+        """Return what the tip bears, N: cutting while it advances, less and less in a hold."""
         if not engaged:
-            return TipLimit(0.0, self._bevel)
+            return 0.0
         mean, opening = tip_bound(track.stretches, front, self._bevel)
         cutting = self.laws.cutting(mean, front) + opening
         if advance <= STILL:
             cutting = min(cutting, self.laws.relaxed(state.tip, duration))
-        return TipLimit(cutting, self._bevel)
+        return cutting
 
 
 def _onward(front: float, spacing: float) -> float:

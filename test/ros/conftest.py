@@ -180,7 +180,7 @@ class NodeProcess:
 
     until = staticmethod(until)
 
-    def __init__(self, domain, folder, *arguments, managed=False):
+    def __init__(self, domain, folder, *arguments, managed=False, environment=None):
         self.folder = Path(folder)
         command = [sys.executable, "-m", "needle_sim_ros.ros.node"]
         command += ["--managed"] if managed else []
@@ -192,7 +192,12 @@ class NodeProcess:
             command,
             stdout=self.log,
             stderr=subprocess.STDOUT,
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
+            env={
+                **os.environ,
+                "ROS_DOMAIN_ID": str(domain),
+                "PYTHONUNBUFFERED": "1",
+                **(environment or {}),
+            },
         )
 
     def output(self):
@@ -236,8 +241,8 @@ def node_process(domain, tmp_path):
     pytest.importorskip("rclpy")
     started = []
 
-    def start(*arguments, folder=tmp_path, managed=False):
-        started.append(NodeProcess(domain, folder, *arguments, managed=managed))
+    def start(*arguments, folder=tmp_path, **options):
+        started.append(NodeProcess(domain, folder, *arguments, **options))
         return started[-1]
 
     yield start

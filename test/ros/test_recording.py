@@ -5,6 +5,8 @@ import dataclasses
 import resource
 import shutil
 import signal
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -484,6 +486,35 @@ def test_a_disk_that_fills_up_ends_neither_simulation_nor_recording(node_process
     assert gaps.max() > 1.5 * DT
     with Reader(folder) as reader:
         assert reader.message_count > 100
+
+
+def test_a_slow_disk_holds_up_no_tick_and_loses_nothing(cell, node_process, tmp_path):
+    """Every write takes 0.6 s: ticks are heard while one is under way, and all are in the bag."""
+    compiler, library = shutil.which("cc"), tmp_path / "slow_disk.so"
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source = Path(__file__).with_name("slow_disk.c")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    slow = {"LD_PRELOAD": str(library), "DISK_MICROSECONDS": "600000"}
+    node = node_process(f"record:={tmp_path}", environment=slow)
+    node.until_running()
+    file = mcap_file(node.session())
+    heard = cell.collect(WrenchStamped, "/base_wrench")
+
+    def ticked_through_a_write():
+        size, count = file.stat().st_size, len(heard)
+        node.until(lambda: len(heard) > count + 40)  # twice what comes between two writes
+        return file.stat().st_size == size
+
+    node.until(ticked_through_a_write)
+    status, _ = node.end()
+    assert status == 0, node.output()
+    assert "lost" not in node.output()
+    session = read_session(file.parent)
+    assert session.complete
+    np.testing.assert_allclose(np.diff(session.series.time), DT, atol=1e-9)
+    last = heard[-1].header.stamp
+    assert session.series.time[-1] >= last.sec + last.nanosec * 1e-9 - 1e-9
 
 
 @pytest.mark.parametrize(
