@@ -7,13 +7,17 @@ Motions, and changes of the interaction laws with the number of ticks before the
 from __future__ import annotations
 
 import json
-from array import array
+import mmap
 from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
 
 from needle_sim_ros.session.motion import Motion
 
 _LIMIT = 50_000
 _ROW = 9  # is a pose, number of ticks, up to seven numbers
+_NO_ROWS = np.empty((0, _ROW))
 
 
 class History:
@@ -32,7 +36,7 @@ class History:
 
     def clear(self) -> None:
         """Forget everything: the simulation is at its start again."""
-        self._rows = array("d")
+        self._rows, self._runs = _NO_ROWS, 0
         self._last: Motion | None = None
         self._count = 0
         self.ticks = 0
@@ -46,18 +50,26 @@ class History:
             self._count += 1
             return
         if self._last is not None and self.complete:
+            if self._runs == 0:
+                self._rows = _room(self._limit)
             values = self._last.values()
-            self._rows.extend((self._last.kind == "pose", self._count, *values))
-            self._rows.extend((0.0,) * (_ROW - 2 - len(values)))
-            if len(self._rows) >= self._limit * _ROW:
+            row = self._rows[self._runs]
+            row[0], row[1], row[2 : 2 + len(values)] = (
+                self._last.kind == "pose",
+                self._count,
+                values,
+            )
+            self._runs += 1
+            if self._runs == self._limit:
                 self.complete = False
-                self._rows = array("d")
+                self._rows, self._runs = _NO_ROWS, 0
         self._last, self._count = motion, 1
 
     def copy(self) -> History:
         """Return the history up to now, which does not go on."""
         twin = History(self._limit)
-        twin._rows, twin._last, twin._count = self._rows[:], self._last, self._count
+        twin._rows, twin._runs = self._rows[: self._runs].copy(), self._runs
+        twin._last, twin._count = self._last, self._count
         twin.ticks, twin.complete, twin.changes = self.ticks, self.complete, self.changes[:]
         return twin
 
@@ -74,8 +86,8 @@ class History:
 
     def runs(self) -> Iterator[tuple[Motion, int]]:
         """Yield motions and for how many ticks each was applied."""
-        for start in range(0, len(self._rows), _ROW):
-            is_pose, count, *values = self._rows[start : start + _ROW]
+        for row in self._rows[: self._runs]:
+            is_pose, count, *values = row.tolist()
             if is_pose:
                 yield Motion.from_values("pose", values), int(count)
             else:
@@ -93,6 +105,11 @@ class History:
         # row by row: the encoder would keep the interpreter lock for tenths of a second
         rows = (json.dumps([motion.kind, n, motion.values()]) for motion, n in self.runs())
         return f"[{', '.join(rows)}]"
+
+
+def _room(rows: int) -> NDArray[np.float64]:
+    """Return zeros in memory of their own, which goes back to the system when it is given up."""
+    return np.frombuffer(mmap.mmap(-1, 8 * _ROW * rows)).reshape(rows, _ROW)
 
 
 def motions_from_json(text: str) -> list[tuple[Motion, int]] | None:
