@@ -40,7 +40,7 @@ _BY_LACK, _MORE = 3, 1.3
 # how much it may have cut without the force that it takes
 _SLIGHT, _UNCUT = 0.05, 0.02
 # how far the tip may end from where a step took it to be, in track spacings
-_SETTLED = 0.02
+_SETTLED, _NEAR = 0.02, 0.002
 
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
@@ -222,7 +222,7 @@ class Contact:
         reached, missed = state.front, math.inf  # how far the tip cuts at least, and does not
         nearly = _SETTLED * track.spacing
         if heading:
-            nearly = min(nearly, _CLOSE * abs(advance))
+            nearly = min(nearly, max(_CLOSE * abs(advance), _NEAR * track.spacing))
         status = state.status
         opened = not len(status)
         solves = tries = 0
