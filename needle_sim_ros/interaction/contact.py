@@ -39,8 +39,9 @@ _BY_LACK, _MORE = 3, 1.3
 # of what the tip may be beside its place, how much it may be ahead of it with less force, and
 # how much it may have cut without the force that it takes
 _SLIGHT, _UNCUT = 0.05, 0.02
-# how far the tip may end from where a step took it to be, in track spacings
-_SETTLED, _NEAR = 0.02, 0.002
+# how far the tip may end from where a step took it to be, in track spacings: of a long step,
+# and of one however short
+_SETTLED, _NEAR = 0.02, 0.001
 
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
