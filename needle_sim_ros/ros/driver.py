@@ -18,6 +18,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 from needle_sim_ros.errors import NeedleSimError
@@ -70,7 +71,7 @@ class Driver:
         self._reset = self._client(Trigger, f"{node}/reset")
         self._pause = self._client(SetBool, f"{node}/pause")
         self._record = self._client(SetBool, f"{node}/record")
-        self._node.create_subscription(WrenchStamped, "base_wrench", self._ticked, _RELIABLE)
+        self._ticks = self._listen()
         self.time = 0.0
         self._parameters = self._client(SetParameters, f"{node}/set_parameters")
 
@@ -107,9 +108,12 @@ class Driver:
         return self._status(self._call(self._pause, SetBool.Request(data=paused)))
 
     def reset(self) -> None:
-        """Send the simulation back to its start."""
+        """Send the simulation back to its start; what it said before is not heard any more."""
+        self._node.destroy_subscription(self._ticks)
         self._call(self._reset, Trigger.Request())
-        self.time = 0.0
+        self._ticks, self.time = self._listen(), 0.0
+        heard = self._ticks.get_publisher_count
+        self._wait(lambda: heard() > 0, _DISCOVERY, "the node's ticks did not appear")
 
     def record(self, on: bool) -> str:
         """Begin or finish a recording; return what the node says about it."""
@@ -167,6 +171,10 @@ class Driver:
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+    def _listen(self) -> Subscription:
+        kind, name = WrenchStamped, "base_wrench"
+        return self._node.create_subscription(kind, name, self._ticked, _RELIABLE)
 
     def _ticked(self, message: WrenchStamped) -> None:
         stamp = message.header.stamp
