@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,6 +56,7 @@ class Outlet:
         self._naming = naming
         self._sinks = sinks
         self._session: SessionWriter | None = None
+        self._writing = threading.Lock()  # a command is written whole, or the session is over
         self._ended = RecorderStatus()
         self.epoch = 0  # what resets have to add to stamps, so that log time never goes back
 
@@ -90,9 +92,10 @@ class Outlet:
 
     def record(self, stamp: int, channel: Channel, data: bytes) -> None:
         """Record a message, if a session is being recorded."""
-        session = self._session
-        if session is not None:
-            session.write(self.epoch + stamp, [(channel, data)])
+        with self._writing:
+            session = self._session
+            if session is not None:
+                session.write(self.epoch + stamp, [(channel, data)])
 
     def publish(self, channel: Channel, encode: Callable[[int], bytes], stamp: int) -> None:
         """Publish on a topic, if it has a sink, and do not record."""
@@ -144,10 +147,10 @@ class Outlet:
         SessionError
             When none is being recorded.
         """
-        session = self._session
+        with self._writing:
+            session, self._session = self._session, None
         if session is None:
             raise SessionError("not recording")
-        self._session = None
         return session
 
     def finish(self, session: SessionWriter, timeout: float) -> RecorderStatus:

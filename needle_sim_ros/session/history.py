@@ -36,7 +36,7 @@ class History:
 
     def clear(self) -> None:
         """Forget everything: the simulation is at its start again."""
-        self._rows, self._runs = _NO_ROWS, 0
+        self._rows, self._used = _NO_ROWS, 0
         self._last: Motion | None = None
         self._count = 0
         self.ticks = 0
@@ -50,25 +50,25 @@ class History:
             self._count += 1
             return
         if self._last is not None and self.complete:
-            if self._runs == 0:
+            if self._used == 0:
                 self._rows = _room(self._limit)
             values = self._last.values()
-            row = self._rows[self._runs]
+            row = self._rows[self._used]
             row[0], row[1], row[2 : 2 + len(values)] = (
                 self._last.kind == "pose",
                 self._count,
                 values,
             )
-            self._runs += 1
-            if self._runs == self._limit:
+            self._used += 1
+            if self._used == self._limit:
                 self.complete = False
-                self._rows, self._runs = _NO_ROWS, 0
+                self._rows, self._used = _NO_ROWS, 0
         self._last, self._count = motion, 1
 
     def copy(self) -> History:
         """Return the history up to now, which does not go on."""
         twin = History(self._limit)
-        twin._rows, twin._runs = self._rows[: self._runs].copy(), self._runs
+        twin._rows, twin._used = self._rows[: self._used].copy(), self._used
         twin._last, twin._count = self._last, self._count
         twin.ticks, twin.complete, twin.changes = self.ticks, self.complete, self.changes[:]
         return twin
@@ -86,7 +86,7 @@ class History:
 
     def runs(self) -> Iterator[tuple[Motion, int]]:
         """Yield motions and for how many ticks each was applied."""
-        for row in self._rows[: self._runs]:
+        for row in self._rows[: self._used]:
             is_pose, count, *values = row.tolist()
             if is_pose:
                 yield Motion.from_values("pose", values), int(count)

@@ -97,8 +97,6 @@ class Recorder:
     def write(self, time: int, messages: Iterable[tuple[int, bytes]]) -> None:
         """Queue messages of one log time, all or none; never waits for the disk.
 
-        What comes after the recording was closed, e.g. a command just then, is not its own.
-
         Parameters
         ----------
         time : int
@@ -109,11 +107,9 @@ class Recorder:
         batch = tuple(messages)
         size = _OVERHEAD * len(batch) + sum([len(data) for _, data in batch])
         with self._lock:
-            if self._closing:
-                return
-            if self._queued_bytes + size > self._capacity:
+            if self._closing or self._queued_bytes + size > self._capacity:
                 self._lost += len(batch)
-                self._error = "the disk is too slow"
+                self._error = "recording ended" if self._closing else "the disk is too slow"
                 self._missing.update(channel for channel, _ in batch)
                 return
             missing = _NOTHING
