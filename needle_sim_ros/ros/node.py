@@ -41,10 +41,10 @@ def main(args: list[str] | None = None, managed: bool = False) -> int:
 
 def _run(stop: threading.Event, managed: bool) -> int:
     import rclpy.logging
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     from needle_sim_ros.ros.managed_node import ManagedSimNode
     from needle_sim_ros.ros.sim_node import SimNode
+    from needle_sim_ros.ros.spinning import Spinning
 
     logger: Any = rclpy.logging.get_logger("needle_sim")
     try:
@@ -58,31 +58,24 @@ def _run(stop: threading.Event, managed: bool) -> int:
         failures.append(error)
         stop.set()
 
-    def spin() -> None:
-        try:
-            executor.spin()
-        except ExternalShutdownException:
+    def spun(error: BaseException | None) -> None:
+        if error is None:
             stop.set()
-        except BaseException as error:
-            logger.fatal(f"the executor ended: {error!r}")
-            failed(error)
+            return
+        logger.fatal(f"the executor ended: {error!r}")
+        failed(error)
 
     # What exists now stays: a full garbage collection need not look through it each time.
     gc.collect()
     gc.freeze()
     gc.disable()  # see Simulation: garbage is collected every ten seconds, outside the ticks
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    spinning = threading.Thread(target=spin, name="executor", daemon=True)
-    spinning.start()
+    spinning = Spinning(node, "executor", spun)
     node.start(failed)
     stop.wait()
     if managed:  # its entities go with the simulation: nobody may be waiting on them
-        executor.shutdown()
-        spinning.join()
+        spinning.stop()
     node.close()
-    executor.shutdown()
-    spinning.join()
+    spinning.stop()
     node.destroy_node()
     return 1 if failures else 0
 

@@ -16,7 +16,6 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -30,6 +29,7 @@ from needle_sim_ros.planning.process import (
     Running,
 )
 from needle_sim_ros.ros.plant import Plant
+from needle_sim_ros.ros.spinning import Spinning
 
 # how often the base is looked at, s; and how dense the way kept is, in track spacings
 _LOOK, _KEPT = 0.05, 0.5
@@ -73,10 +73,7 @@ class Planning:
         self._node.create_subscription(
             Path, node.resolve_topic_name("candidate_base_path"), self._predict, 1
         )
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name="planning", daemon=True)
-        self._thread.start()
+        self._spinning = Spinning(self._node, "planning")
         self._looking = threading.Event()
         self._watch = threading.Thread(target=self._look_on, name="base path", daemon=True)
         self._watch.start()
@@ -89,15 +86,8 @@ class Planning:
         self._looking.set()
         self._watch.join()
         self._process.close()
-        self._executor.shutdown()
-        self._thread.join()
+        self._spinning.stop()
         self._node.destroy_node()
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return
 
     def _look_on(self) -> None:
         while not self._looking.wait(_LOOK):

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -53,22 +52,6 @@ def domain():
     return 1 + next(_domains) % 100  # higher ones need ports that may be taken
 
 
-class Spinner:
-    """Spins one node in a thread of its own."""
-
-    def __init__(self, node, context):
-        from rclpy.executors import SingleThreadedExecutor
-
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(node)
-        self.thread = threading.Thread(target=self.executor.spin, daemon=True)
-        self.thread.start()
-
-    def stop(self):
-        self.executor.shutdown()
-        self.thread.join()
-
-
 class Cell:
     """A context with a peer node and, once started, the simulator node."""
 
@@ -83,13 +66,16 @@ class Cell:
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
         self.peer = rclpy.create_node("peer", context=self.context)
-        self.spinners = [Spinner(self.peer, self.context)]
+        self.spinners = []
+        self.spin(self.peer)
         self.sim = None
         self.clients = {}
 
     def spin(self, node):
         """Spin a node in a thread of its own until the cell is closed."""
-        self.spinners.append(Spinner(node, self.context))
+        from needle_sim_ros.ros.spinning import Spinning
+
+        self.spinners.append(Spinning(node, "executor"))
 
     def start(self, paused=True, arguments=(), **parameters):
         """Start the simulator node; parameters' dots are written as double underscores.
