@@ -18,8 +18,10 @@ export AMENT_PREFIX_PATH = $(abspath $(VENV))
 
 env: $(STAMP)
 
-# Editable, so that the commands always run the source as it is: only setup.py remakes it.
-$(STAMP): setup.py
+# Editable, so that the commands always run the source as it is: only what setup.py says and what
+# it compiles remake it.
+COMPILED = needle_sim_ros/interaction/_steady.c
+$(STAMP): setup.py $(COMPILED)
 	@$(PYTHON) .ci/check_python.py
 	@echo "Installing into $(VENV) (about 300 MB, one to three minutes) ..."
 	@$(PYTHON) -m venv --clear "$(VENV)"
@@ -49,4 +51,5 @@ bench: env
 clean:
 	rm -rf .venv build install log *.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -f $(COMPILED:.c=.*.so)
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 NAME = "needle_sim_ros"
 
@@ -29,6 +29,15 @@ setup(
     maintainer_email="maintainers@example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     python_requires=">=3.10",
+    # A compiled tick; where there is no compiler, the same in numpy.
+    ext_modules=[
+        Extension(
+            f"{NAME}.interaction._steady",
+            [f"{NAME}/interaction/_steady.c"],
+            extra_compile_args=["-O3", "-std=c11", "-Wall", "-Wextra", "-ffp-contract=off"],
+            optional=True,
+        )
+    ],
     install_requires=[
         "numpy>=1.26",
         "scipy>=1.11",

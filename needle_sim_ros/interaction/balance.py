@@ -13,24 +13,27 @@ C_n that of the needle, kappa the presliding stiffness and l_k the inserted leng
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction import friction
+from needle_sim_ros.interaction import friction, steady
 from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
 from needle_sim_ros.interaction.lateral_hold import LateralHold
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
+from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.spreading import LEAST, coverage, tip_share
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.steady import SteadySliding
 from needle_sim_ros.interaction.track import Track
 from needle_sim_ros.needle import beam, tip
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue.response import Axes, ResponseTable
 
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
@@ -39,45 +42,6 @@ if TYPE_CHECKING:
 # stick within the bevel fix the tip's place too: with a rigid tip the presliding, however
 # stiff, would decide how tip and friction share the load.
 _TIP_SOFTNESS = 0.03
-
-
-class BalanceSolution(NamedTuple):
-    """Forces and kinematics of a step: the last fields of ContactState, in its order, and more.
-
-    Attributes
-    ----------
-    overlap : float
-        How far the tip wants beyond the end of the track (negative: short of it), m.
-    lack : float
-        How far back the tip would bear its limit, at most, m; 0 where it does.
-    """
-
-    active: int
-    lateral: Vector
-    friction: Vector
-    tip: float
-    arclength: Vector
-    softness: Vector
-    share: Vector
-    strain: Vector
-    slip: Vector
-    slid: Vector
-    advance: float
-    moved: Vector
-    forces: Vector
-    status: NDArray[np.int8]
-    solves: int
-    residual: float
-    overlap: float
-    lack: float = 0.0
-
-    def in_state(self) -> tuple[Any, ...]:
-        """Return what goes into the state."""
-        return self[:-2]
-
-    def fields(self) -> dict[str, Any]:
-        """Return what goes into the state, by name."""
-        return dict(zip(self._fields, self.in_state(), strict=False))
 
 
 class Balance:
@@ -105,6 +69,8 @@ class Balance:
         self._tip_softness = _TIP_SOFTNESS / (self._grip * bevel)
         self._spacing, self._bevel = spacing, bevel
         self._hold: LateralHold | None = None
+        self._steady = SteadySliding(scene, bevel, self._grip, self._tip_softness)
+        self._compiled = steady.available()
 
     def dent(self, force: float) -> float:
         """Return how far a tip force, N, presses the tip into its own contact, m."""
@@ -190,9 +156,15 @@ class Balance:
         n = last + 2  # rows: the points passed and the one ahead of the tip
         held = max(1, last + (depth - h * last > LEAST * h))
         free = step.free(track.table)
+        bounds = friction.guess(status, n)
+        reach = self._length + track.dent - pose.reach(track.place(depth))
+        if self._compiled and not step.turning and step.advance * bounds[0] > 0:
+            hold = self._held(track.table, pose.terms, held)
+            same = (track, step, free, moved, memory, bounds, depth, hold, reach, limit)
+            if (slid := self._steady.solve(self.laws, *same)) is not None:
+                return slid
         length = coverage(depth, n, h)
         share = tip_share(length, depth, self._bevel, h)
-        bounds = friction.guess(status, n)
         start = FrictionStart.of(track, memory, bounds, step.advance)
         stiffness = self.laws.interaction.friction.presliding_stiffness
         presliding = np.maximum(length, LEAST * h)
@@ -213,7 +185,7 @@ class Balance:
             tip_softness=self._tip_softness,
             free=track.points[:held] + free[:held],
             elastic=elastic,
-            reach=self._length + track.dent - pose.reach(track.place(depth)) - float(share @ along),
+            reach=reach - float(share @ along),
             tip_bound=limit,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
@@ -260,7 +232,7 @@ class Balance:
         if start.sliding:
             limit = friction.sliding_limit(self.laws, start) * length
             limit *= start.sliding
-            found = problem.sliding(self._held(problem, step), limit, bounds)
+            found = problem.sliding(self._hold_of(problem, step), limit, bounds)
             if found is not None:
                 return found, start.slip + np.abs(found.slid)
         low, high = friction.limits(self.laws, start)
@@ -268,7 +240,7 @@ class Balance:
         found = None
         if not start.sliding and bounds.all():
             limit = np.where(bounds[:-1] > 0, high, low)
-            found = problem.sliding(self._held(problem, step), limit, bounds)
+            found = problem.sliding(self._hold_of(problem, step), limit, bounds)
         if found is None:
             found = problem.bounded(low, high, bounds)
         bound = np.where(found.friction > 0, high, -low)
@@ -277,19 +249,23 @@ class Balance:
         )
         return found, slipped
 
-    def _held(self, problem: SlidingProblem, step: Step) -> LateralHold:
-        """Return what solves for the lateral forces, factorised where the tip will be deepest.
+    def _hold_of(self, problem: SlidingProblem, step: Step) -> LateralHold:
+        """Return what solves for the lateral forces of a problem.
 
         A needle that turns changes all of it in every step.
         """
         table, axes, arclength = problem.table, step.after.terms, problem.arclength
         if step.turning:
             return LateralHold(table, axes, arclength, problem.softness, self._rigidity)
-        hold, held = self._hold, len(arclength)
+        return self._held(table, axes, len(arclength))
+
+    def _held(self, table: ResponseTable, axes: Axes, held: int) -> LateralHold:
+        """Return what solves for the forces of held points, factorised for the deepest tip."""
+        hold = self._hold
         if hold is None or not hold.serves(table, axes, held):
-            depth = min(held * self._spacing, self._length)
-            least = self._places[:held] + (self._length - depth)
-            softness = self._softness(depth, held)
+            deepest = min(held * self._spacing, self._length)
+            least = self._places[:held] + (self._length - deepest)
+            softness = self._softness(deepest, held)
             varying = min(held - 1, int(self._bevel / self._spacing) + 1)
             hold = LateralHold(table, axes, least, softness, self._rigidity, varying)
             self._hold = hold

@@ -85,7 +85,7 @@ class FrictionStart(NamedTuple):
     ) -> FrictionStart:
         """Fit what was before to a step; `status` has one entry more, the tip's."""
         n = len(status) - 1
-        slip, strain, slid = (_fitted(values, n) for values in memory[:3])
+        slip, strain, slid = (fitted(values, n) for values in memory[:3])
         before = memory.advance
         pace = advance / before if advance * before > 0 else 0.0
         sliding = _one_way(status)
@@ -182,8 +182,8 @@ def _least(values: Vector, sign: int) -> float:
     return float(values.min()) if sign > 0 else -float(values.max())
 
 
-def _fitted(values: Vector, n: int) -> Vector:
-    """Cut or extend to n entries: the needle slides by a new point as by the last one."""
+def fitted(values: Vector, n: int) -> Vector:
+    """Cut or extend what was before to n entries: a new point slides as the last one does."""
     if len(values) >= n:
         return values[:n]
     wider = np.full(n, values[-1] if len(values) else 0.0)

@@ -13,8 +13,9 @@ import numpy as np
 
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.balance import Balance, BalanceSolution
+from needle_sim_ros.interaction.balance import Balance
 from needle_sim_ros.interaction.coupling import added_up
+from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import AIMED, ContactState
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip

@@ -57,6 +57,15 @@ class LateralHold:
     varying : int
         Number of last points whose softness will vary.
 
+    Attributes
+    ----------
+    factor : ndarray, shape (m k, m k)
+        Of the compliance, by Cholesky: column-major, its upper half.
+    arclength : ndarray, shape (k,)
+        As given, m.
+    softness : ndarray, shape (varying,)
+        Of the varying points, as given, m/N.
+
     Raises
     ------
     SolverError
@@ -73,9 +82,9 @@ class LateralHold:
         varying: int = 0,
     ) -> None:
         self._table, self._axes = table, axes
-        self._arclength, self._rigidity = arclength, rigidity
+        self.arclength, self._rigidity = arclength, rigidity
         self._first = len(arclength) - varying
-        self._softness = softness[self._first :]
+        self.softness = softness[self._first :]
         m, k = len(axes) - 1, len(arclength)
         matrix = bend = bending(arclength, softness, rigidity)
         if m == 1:
@@ -88,14 +97,14 @@ class LateralHold:
                     matrix[rows, b * k : (b + 1) * k] = table.along(axes, a, b)[:k, :k]
                 matrix[rows, rows] += bend
         # row-major lower is column-major upper
-        self._factor, info = lapack.dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+        self.factor, info = lapack.dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
         if info != 0:
             raise SolverError("the lateral compliance is not positive definite")
         self._change: tuple[Vector, Vector, Vector] | None = None
 
     def serves(self, table: ResponseTable, axes: Axes, held: int) -> bool:
         """Return whether it is that of the first so many points of a table, along the axes."""
-        same = axes is self._axes and held == len(self._arclength)
+        same = axes is self._axes and held == len(self.arclength)
         return same and table.shares(self._table, held)
 
     def forces(self, gaps: Vector, arclength: Vector, softness: Vector) -> Vector:
@@ -108,20 +117,20 @@ class LateralHold:
         arclength, softness : ndarray, shape (k,)
             Of now; all arclengths differ by the same from those factorised.
         """
-        forces, _ = lapack.dpotrs(self._factor, gaps, lower=0, overwrite_b=1)
-        if arclength is self._arclength:
+        forces, _ = lapack.dpotrs(self.factor, gaps, lower=0, overwrite_b=1)
+        if arclength is self.arclength:
             return np.asarray(forces)
-        kinds, answers, products = self._change or self._prepared()
+        kinds, answers, products = self.changes()
         m, count = len(self._axes) - 1, len(products)
         weights = np.zeros((count // m, count // m))
-        farther = float(arclength[0] - self._arclength[0])
+        farther = float(arclength[0] - self.arclength[0])
         turn = farther / self._rigidity
         weights[0, 0] = turn
         weights[0, 1] = weights[1, 0] = turn * farther / 2.0
         weights[1, 1] = turn * farther * farther / 3.0
         softer = weights.reshape(-1)[2 * len(weights) + 2 :: len(weights) + 1]
         softer[:] = softness[self._first :]
-        softer -= self._softness
+        softer -= self.softness
         system = (weights @ products.reshape(m, -1, count)).reshape(count, count)
         system.reshape(-1)[:: count + 1] += 1.0
         load = weights @ (kinds @ forces).reshape(m, -1, 1)
@@ -130,16 +139,17 @@ class LateralHold:
             raise SolverError("the lateral compliance is singular")
         return np.asarray(forces - amounts @ answers)
 
-    def _prepared(self) -> tuple[Vector, Vector, Vector]:
+    def changes(self) -> tuple[Vector, Vector, Vector]:
         """Return the kinds of change, (q, m k), the answers to them, and their products (q, q).
 
         Along each axis: a turn and a shift of the clamp, and the hold of each varying point.
         """
-        m, k = len(self._axes) - 1, len(self._arclength)
-        along = np.zeros((2 + k - self._first, k))
-        along[0], along[1] = self._arclength, 1.0
-        along[2:, self._first :] = np.eye(k - self._first)
-        kinds = np.kron(np.eye(m), along).astype(float, copy=False)
-        answers = lapack.dpotrs(self._factor, kinds.T, lower=0)[0].T
-        prepared = self._change = kinds, answers, np.asarray(kinds @ answers.T)
-        return prepared
+        if self._change is None:
+            m, k = len(self._axes) - 1, len(self.arclength)
+            along = np.zeros((2 + k - self._first, k))
+            along[0], along[1] = self.arclength, 1.0
+            along[2:, self._first :] = np.eye(k - self._first)
+            kinds = np.kron(np.eye(m), along).astype(float, copy=False)
+            answers = lapack.dpotrs(self.factor, kinds.T, lower=0)[0].T
+            self._change = kinds, answers, np.asarray(kinds @ answers.T)
+        return self._change

@@ -162,6 +162,11 @@ class ResponseTable:
         size = self.compliance.dimension * (self.count if rows is None else rows)
         return self._store.between[:size, :size]
 
+    @property
+    def store(self) -> Vector:
+        """All of :meth:`between`, with room for rows to come, row by row in memory."""
+        return self._store.between
+
     def displacement(self, forces: Vector) -> Vector:
         """Return the displacement of all rows, (n, d), by forces (k, d) on the first k."""
         wide = self.compliance.dimension * self.count

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state of the contact takes over a solution field by field, in order."""
 
-from needle_sim_ros.interaction.balance import BalanceSolution
+from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import ContactState
 
 

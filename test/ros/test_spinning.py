@@ -2,7 +2,9 @@
 """A spinning node ends when told to, at whatever moment, and only then."""
 
 import itertools
+import sys
 
+import pytest
 import rclpy
 from rclpy.clock import Clock
 from std_srvs.srv import Trigger
@@ -10,6 +12,16 @@ from std_srvs.srv import Trigger
 from needle_sim_ros.ros.spinning import Spinning
 
 
+@pytest.fixture
+def brisk():
+    """Let the threads take turns as often as the node does."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    yield
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.usefixtures("brisk")
 def test_it_stops_at_any_moment_without_an_error(cell):
     """As rclpy's executor does not: its shutdown takes from the thread what it is about to use."""
     ended, calls = [], itertools.count()
