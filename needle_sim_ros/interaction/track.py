@@ -136,7 +136,9 @@ class Track(NamedTuple):
         """Return the track with the friction limits of changed laws."""
         pieces = [self.points[:0], *(self.points[1:] - self.points[:-1])[:, None]]
         pairs = zip(self.points, pieces, strict=True)
-        limits = np.array([_rubbing(laws, point, piece) for point, piece in pairs])
+        static, kinetic = zip(
+            *(_rubbing(laws, point, piece) for point, piece in pairs), strict=True
+        )
         begun = stretches.first(laws, self.points[0])
         for k, (point, piece) in enumerate(
             zip(self.points[:-1], np.diff(self.points, axis=0), strict=True)
@@ -144,8 +146,8 @@ class Track(NamedTuple):
             begun = stretches.onward(begun, laws, k * self.spacing, point, piece, self.spacing)
         return self._replace(
             stretches=begun,
-            static=limits[:, 0],
-            kinetic=limits[:, 1],
+            static=np.array(static),
+            kinetic=np.array(kinetic),
         )
 
     def at(self, depth: float) -> Vector:
