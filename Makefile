@@ -20,7 +20,7 @@ env: $(STAMP)
 
 # Editable, so that the commands always run the source as it is: only what setup.py says and what
 # it compiles remake it.
-COMPILED = needle_sim_ros/interaction/_steady.c
+COMPILED = needle_sim_ros/interaction/_balance.c
 $(STAMP): setup.py $(COMPILED)
 	@$(PYTHON) .ci/check_python.py
 	@echo "Installing into $(VENV) (about 300 MB, one to three minutes) ..."

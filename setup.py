@@ -32,8 +32,8 @@ setup(
     # A compiled tick; where there is no compiler, the same in numpy.
     ext_modules=[
         Extension(
-            f"{NAME}.interaction._steady",
-            [f"{NAME}/interaction/_steady.c"],
+            f"{NAME}.interaction._balance",
+            [f"{NAME}/interaction/_balance.c"],
             extra_compile_args=["-O3", "-std=c11", "-Wall", "-Wextra", "-ffp-contract=off"],
             optional=True,
         )

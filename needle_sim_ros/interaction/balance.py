@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction import friction, steady
+from needle_sim_ros.interaction import compiled, friction
 from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
 from needle_sim_ros.interaction.lateral_hold import LateralHold
@@ -29,11 +29,11 @@ from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.spreading import LEAST, coverage, tip_share
 from needle_sim_ros.interaction.state import ContactState
-from needle_sim_ros.interaction.steady import SteadySliding
+from needle_sim_ros.interaction.task import InsertedTask
 from needle_sim_ros.interaction.track import Track
 from needle_sim_ros.needle import beam, tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.response import Axes, ResponseTable
+from needle_sim_ros.tissue.response import ResponseTable
 
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
@@ -69,8 +69,10 @@ class Balance:
         self._tip_softness = _TIP_SOFTNESS / (self._grip * bevel)
         self._spacing, self._bevel = spacing, bevel
         self._hold: LateralHold | None = None
-        self._steady = SteadySliding(scene, bevel, self._grip, self._tip_softness)
-        self._compiled = steady.available()
+        self._compiled = None
+        if compiled.available():
+            constants = (bevel, self._grip, self._tip_softness)
+            self._compiled = compiled.CompiledBalance(scene, *constants)
 
     def dent(self, force: float) -> float:
         """Return how far a tip force, N, presses the tip into its own contact, m."""
@@ -151,18 +153,23 @@ class Balance:
         limit : float
             Largest tip force, N.
         """
-        pose, h = step.after, track.spacing
+        h = track.spacing
         last = min(int(depth / h), track.laid - 2)  # the last point that the tip has passed
-        n = last + 2  # rows: the points passed and the one ahead of the tip
+        bounds = friction.guess(status, last + 2)  # rows: the points passed and the one ahead
         held = max(1, last + (depth - h * last > LEAST * h))
+        hold = self._hold_of(track.table, step, depth, held) if bounds.all() else None
+        reach = self._length + track.dent - step.after.reach(track.place(depth))
         free = step.free(track.table)
-        bounds = friction.guess(status, n)
-        reach = self._length + track.dent - pose.reach(track.place(depth))
-        if self._compiled and not step.turning and step.advance * bounds[0] > 0:
-            hold = self._held(track.table, pose.terms, held)
-            same = (track, step, free, moved, memory, bounds, depth, hold, reach, limit)
-            if (slid := self._steady.solve(self.laws, *same)) is not None:
-                return slid
+        task = InsertedTask(
+            track, step, free, moved, memory, bounds, depth, held, hold, reach, limit
+        )
+        found = self._compiled.solve(self.laws, task) if self._compiled else None
+        return found or self._solve(task)
+
+    def _solve(self, task: InsertedTask) -> BalanceSolution:
+        track, step, free, moved, memory, bounds, depth, held, *_ = task
+        pose, h = step.after, track.spacing
+        n = len(bounds) - 1
         length = coverage(depth, n, h)
         share = tip_share(length, depth, self._bevel, h)
         start = FrictionStart.of(track, memory, bounds, step.advance)
@@ -185,12 +192,12 @@ class Balance:
             tip_softness=self._tip_softness,
             free=track.points[:held] + free[:held],
             elastic=elastic,
-            reach=reach - float(share @ along),
-            tip_bound=limit,
+            reach=task.reach - float(share @ along),
+            tip_bound=task.limit,
             rigidity=self._rigidity,
             tolerance=self._tolerance,
         )
-        found, slipped = self._solved(problem, start, length, bounds, step)
+        found, slipped = self._solved(problem, start, length, task)
 
         forces = found.forces
         if n < track.laid:
@@ -221,53 +228,51 @@ class Balance:
         )
 
     def _solved(
-        self,
-        problem: SlidingProblem,
-        start: FrictionStart,
-        length: Vector,
-        bounds: NDArray[np.int8],
-        step: Step,
+        self, problem: SlidingProblem, start: FrictionStart, length: Vector, task: InsertedTask
     ) -> tuple[TrackForces, Vector]:
         """Solve for the forces; return them and the slip since the points last stuck."""
-        if start.sliding:
+        bounds, hold = task.status, task.hold
+        if start.sliding and hold is not None:
             limit = friction.sliding_limit(self.laws, start) * length
             limit *= start.sliding
-            found = problem.sliding(self._hold_of(problem, step), limit, bounds)
+            found = problem.sliding(hold, limit, bounds)
             if found is not None:
                 return found, start.slip + np.abs(found.slid)
         low, high = friction.limits(self.laws, start)
         low, high = -low * length, high * length
         found = None
-        if not start.sliding and bounds.all():
+        if not start.sliding and hold is not None:
             limit = np.where(bounds[:-1] > 0, high, low)
-            found = problem.sliding(self._hold_of(problem, step), limit, bounds)
+            found = problem.sliding(hold, limit, bounds)
         if found is None:
             found = problem.bounded(low, high, bounds)
         bound = np.where(found.friction > 0, high, -low)
         slipped = friction.slip_after(
-            self.laws, start, found.status[:-1], found.friction, bound, found.slid, step.duration
+            self.laws,
+            start,
+            found.status[:-1],
+            found.friction,
+            bound,
+            found.slid,
+            task.step.duration,
         )
         return found, slipped
 
-    def _hold_of(self, problem: SlidingProblem, step: Step) -> LateralHold:
-        """Return what solves for the lateral forces of a problem.
+    def _hold_of(self, table: ResponseTable, step: Step, depth: float, held: int) -> LateralHold:
+        """Return what solves for the lateral forces, factorised where the tip will be deepest.
 
         A needle that turns changes all of it in every step.
         """
-        table, axes, arclength = problem.table, step.after.terms, problem.arclength
-        if step.turning:
-            return LateralHold(table, axes, arclength, problem.softness, self._rigidity)
-        return self._held(table, axes, len(arclength))
-
-    def _held(self, table: ResponseTable, axes: Axes, held: int) -> LateralHold:
-        """Return what solves for the forces of held points, factorised for the deepest tip."""
-        hold = self._hold
-        if hold is None or not hold.serves(table, axes, held):
-            deepest = min(held * self._spacing, self._length)
-            least = self._places[:held] + (self._length - deepest)
-            softness = self._softness(deepest, held)
+        axes, hold, varying = step.after.terms, self._hold, 0
+        if not step.turning:
+            if hold is not None and hold.serves(table, axes, held):
+                return hold
+            depth = min(held * self._spacing, self._length)
             varying = min(held - 1, int(self._bevel / self._spacing) + 1)
-            hold = LateralHold(table, axes, least, softness, self._rigidity, varying)
+        arclength = self._places[:held] + (self._length - depth)
+        softness = self._softness(depth, held)
+        hold = LateralHold(table, axes, arclength, softness, self._rigidity, varying)
+        if not step.turning:
             self._hold = hold
         return hold
 

@@ -1,0 +1,794 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The balance of an inserted needle: what balance.py, friction.py, sliding.py, contact_solve.py,
+ * spreading.py and lateral_hold.py do in hundreds of calls of numpy, in their order and with their
+ * names, in two. `slide` takes every force to stay at the bound where it was; where that does not
+ * hold, or one was free, `bounded` solves the problem in full. Both answer None where they do not
+ * get there, and Python does it all.
+ *
+ * Linear algebra is scipy's BLAS and LAPACK, found through scipy.linalg.cython_blas and
+ * cython_lapack. Arrays come by the buffer protocol, row-major.
+ */
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+typedef void (*gemv_t)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
+                       double *, int *);
+typedef void (*potrf_t)(char *, int *, double *, int *, int *);
+typedef void (*potrs_t)(char *, int *, int *, double *, int *, double *, int *, int *);
+typedef void (*gesv_t)(int *, int *, double *, int *, int *, double *, int *, int *);
+
+static gemv_t gemv;
+static potrf_t potrf;
+static potrs_t potrs;
+static gesv_t gesv;
+
+#define LEAST 1e-6  /* as in spreading.py */
+#define STILL 1e-12 /* as in friction.py */
+#define PATIENCE 10 /* as in contact_solve.py */
+#define MOST_ARRAYS 32
+
+/* Buffers in use, released together; there is room for those of either function. */
+typedef struct {
+    Py_buffer held[MOST_ARRAYS];
+    int count;
+} Buffers;
+
+static void release(Buffers *all)
+{
+    while (all->count > 0)
+        PyBuffer_Release(&all->held[--all->count]);
+}
+
+/* Return a contiguous array of at least so many items of a kind; NULL with an exception if not. */
+static void *array(Buffers *all, PyObject *object, const char *kind, Py_ssize_t items,
+                   int writable, const char *name)
+{
+    Py_buffer *view = &all->held[all->count];
+    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(object, view, flags) < 0)
+        return NULL;
+    all->count++;
+    if (view->format == NULL || strcmp(view->format, kind) != 0 ||
+        view->len < items * view->itemsize) {
+        PyErr_Format(PyExc_ValueError, "%s: %zd items '%s', not %zd of '%s'", name,
+                     view->len / view->itemsize, view->format, items, kind);
+        return NULL;
+    }
+    return view->buf;
+}
+
+/* Return the stride of the rows of a matrix with at least so many rows and columns. */
+static int stride(Buffers *all, Py_ssize_t rows, Py_ssize_t columns, const char *name)
+{
+    Py_buffer *view = &all->held[all->count - 1];
+    if (view->ndim != 2 || view->shape[0] < rows || view->shape[1] < columns) {
+        PyErr_Format(PyExc_ValueError, "%s: not a matrix of %zd rows and %zd columns", name, rows,
+                     columns);
+        return -1;
+    }
+    return (int)view->shape[1];
+}
+
+/* y = A x, with A of rows x columns at a stride. */
+static void product(double *matrix, int width, int rows, int columns, double *x, double *y)
+{
+    double one = 1.0, zero = 0.0;
+    int step = 1;
+    gemv("T", &columns, &rows, &one, matrix, &width, x, &step, &zero, y, &step);
+}
+
+static double dot(const double *x, const double *y, int count)
+{
+    double sum = 0.0;
+    for (int i = 0; i < count; i++)
+        sum += x[i] * y[i];
+    return sum;
+}
+
+/* spreading.py: the first of two points about a depth, and what part of each hat is passed. */
+static int about(double passed, int count, double *one, double *two)
+{
+    int first = (int)passed;
+    first = first < 0 ? 0 : first > count - 1 ? count - 1 : first;
+    double t = fmin(passed - first, 1.0);
+    *one = t < 0 ? 0.5 * (1 + t) * (1 + t) : 1 - 0.5 * (1 - t) * (1 - t);
+    t = fmin(passed - first - 1, 1.0);
+    *two = t < 0 ? 0.5 * (1 + t) * (1 + t) : 1 - 0.5 * (1 - t) * (1 - t);
+    return first;
+}
+
+/* spreading.coverage */
+static void coverage(double depth, int count, double spacing, double *length)
+{
+    double one, two;
+    int first = about(depth / spacing, count, &one, &two);
+    for (int i = 0; i < count; i++)
+        length[i] = i < first + 2 ? spacing : 0.0;
+    length[first] = spacing * one;
+    if (first + 1 < count)
+        length[first + 1] = spacing * two;
+    length[0] = fmax((first == 0 ? one : 1.0) * spacing - spacing * 0.5, 0.0);
+}
+
+/* spreading.tip_share */
+static void tip_share(const double *length, int count, double depth, double spread,
+                      double spacing, double *share)
+{
+    int first = 0;
+    double one, two, total = 0.0;
+    memcpy(share, length, (size_t)count * sizeof(double));
+    if (depth > spread) {
+        first = about((depth - spread) / spacing, count, &one, &two);
+        memset(share, 0, (size_t)first * sizeof(double));
+        share[first] -= spacing * (first ? one : fmax(one - 0.5, 0.0));
+        if (first + 1 < count)
+            share[first + 1] -= spacing * two;
+    }
+    for (int i = first; i < count; i++)
+        total += share[i];
+    if (total <= LEAST * spacing) {
+        memset(share, 0, (size_t)count * sizeof(double));
+        share[0] = 1.0;
+        return;
+    }
+    for (int i = first; i < count; i++)
+        share[i] /= total;
+}
+
+/* Balance._softness */
+static void hold_softness(double depth, int held, double bevel, double spacing, double grip,
+                          double *softness)
+{
+    memset(softness, 0, (size_t)held * sizeof(double));
+    int last = held - 1;
+    double behind = depth - last * spacing;
+    for (; last > 0 && behind < bevel; last--, behind += spacing)
+        softness[last] = (bevel / behind - 1.0) / (grip * spacing);
+}
+
+/* LateralHold.forces: answer the gaps (m k,) in place by the factor (column-major, its upper
+ * half) and what changed since.
+ * `work` has room for kinds * (kinds + 1) + (kinds / m)^2 doubles, `pivots` for kinds ints. */
+static int answer(int m, int held, double *factor, int kinds, double *kind, double *answers,
+                  const double *products, double farther, double rigidity,
+                  const double *softness, const double *least, double *gaps, double *work,
+                  int *pivots)
+{
+    int size = m * held, one = 1, info = 0, each = kinds / m, varying = each - 2;
+    double *system = work, *load = system + kinds * kinds, *weights = load + kinds;
+    potrs("U", &size, &one, factor, &size, gaps, &size, &info);
+    if (info != 0)
+        return -1;
+    double turn = farther / rigidity;
+    memset(weights, 0, (size_t)(each * each) * sizeof(double));
+    weights[0] = turn;
+    weights[1] = weights[each] = turn * farther / 2.0;
+    weights[each + 1] = turn * farther * farther / 3.0;
+    for (int v = 0; v < varying; v++)
+        weights[(v + 2) * (each + 1)] = softness[held - varying + v] - least[v];
+    /* the system is made column-major */
+    memset(system, 0, (size_t)(kinds * (kinds + 1)) * sizeof(double));
+    for (int a = 0; a < m; a++)
+        for (int i = 0; i < each; i++) {
+            int row = a * each + i;
+            for (int j = 0; j < each; j++) {
+                double weight = weights[i * each + j];
+                if (weight == 0.0)
+                    continue;
+                const double *from = products + (a * each + j) * kinds;
+                for (int c = 0; c < kinds; c++)
+                    system[c * kinds + row] += weight * from[c];
+                load[row] += weight * dot(kind + (a * each + j) * size, gaps, size);
+            }
+            system[row * kinds + row] += 1.0;
+        }
+    gesv(&kinds, &one, system, &kinds, pivots, load, &kinds, &info);
+    if (info != 0)
+        return -1;
+    for (int i = 0; i < kinds; i++)
+        for (int c = 0; c < size; c++)
+            gaps[c] -= load[i] * answers[i * size + c];
+    return 0;
+}
+
+/* Copy a short vector, strided or not. */
+static int brief(PyObject *object, int count, double *into)
+{
+    Py_buffer view;
+    if (PyObject_GetBuffer(object, &view, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
+        return -1;
+    int fits = view.ndim == 1 && view.shape[0] == count && strcmp(view.format, "d") == 0;
+    for (int i = 0; fits && i < count; i++)
+        into[i] = *(double *)((char *)view.buf + i * view.strides[0]);
+    PyBuffer_Release(&view);
+    if (!fits)
+        PyErr_SetString(PyExc_ValueError, "origin: not so many numbers as the tissue has axes");
+    return fits ? 0 : -1;
+}
+
+/* Numbers of a step, in this order. */
+enum {
+    DEPTH, ADVANCE, BEFORE, DURATION, LIMIT, REACH, SPACING, BEVEL, LENGTH, RIGIDITY, GRIP,
+    TIP_SOFTNESS, PRESLIDING, WEAKENING, HEALING, TOLERANCE, NUMBERS
+};
+
+/* Rows of numbers, one for each point that rubs: what a step leaves for the state, then what
+ * `slide` leaves for `bounded`. */
+enum {
+    FRICTION, SHARE, STRAIN, SLIP, SLID, LENGTHS, ELASTIC, SOFT, LOW, HIGH, AXIAL_FORCE, ALONG,
+    ROWS
+};
+
+/* What both functions are given, in this order, and what they make of it. */
+enum {
+    IN_NUMBERS, IN_ORIGIN, IN_AXIAL, IN_LATERAL, IN_POINTS, IN_FREE, IN_SLIP, IN_STRAIN,
+    IN_STATUS, IN_BETWEEN, OUT_ROWS, OUT_HOLD, OUT_LATERAL, OUT_FORCES, OUT_MOVED, COMMON
+};
+
+typedef struct {
+    double numbers[NUMBERS], origin[3];
+    double *axial, *lateral, *points, *free, *slip, *strain, *between;
+    double *rows, *arclength, *softness, *q, *forces, *moved;
+    signed char *status;
+    int d, m, n, held, laid, wide;
+} Problem;
+
+#define TAKE(into, index, kind, items, write)                                                     \
+    if ((into = array(all, arguments[index], kind, items, write, #into)) == NULL)                 \
+        return -1;
+#define TAKEN(size) ((int)(all->held[all->count - 1].len / (Py_ssize_t)sizeof(size)))
+
+static int take(Problem *p, Buffers *all, PyObject *const *arguments)
+{
+    PyObject *numbers = arguments[IN_NUMBERS];
+    if (!PyTuple_Check(numbers) || PyTuple_GET_SIZE(numbers) != NUMBERS) {
+        PyErr_Format(PyExc_TypeError, "numbers: not a tuple of %d", NUMBERS);
+        return -1;
+    }
+    for (int i = 0; i < NUMBERS; i++)
+        p->numbers[i] = PyFloat_AsDouble(PyTuple_GET_ITEM(numbers, i));
+    if (PyErr_Occurred())
+        return -1;
+    TAKE(p->axial, IN_AXIAL, "d", 2, 0)
+    p->d = TAKEN(double);
+    p->m = p->d - 1;
+    if (p->d > 3) {
+        PyErr_SetString(PyExc_ValueError, "axial: 2 or 3 axes");
+        return -1;
+    }
+    TAKE(p->status, IN_STATUS, "b", 2, 0)
+    p->n = TAKEN(char) - 1;
+    TAKE(p->arclength, OUT_HOLD, "d", 2, 1)
+    p->held = TAKEN(double) / 2;
+    p->softness = p->arclength + p->held;
+    TAKE(p->free, IN_FREE, "d", p->n * p->d, 0)
+    p->laid = TAKEN(double) / p->d;
+    if (p->held > p->n) {
+        PyErr_SetString(PyExc_ValueError, "more points are held than rub");
+        return -1;
+    }
+    if (brief(arguments[IN_ORIGIN], p->d, p->origin) < 0)
+        return -1;
+    TAKE(p->lateral, IN_LATERAL, "d", p->m * p->d, 0)
+    TAKE(p->points, IN_POINTS, "d", p->laid * p->d, 0)
+    TAKE(p->slip, IN_SLIP, "d", p->n, 0)
+    TAKE(p->strain, IN_STRAIN, "d", p->n, 0)
+    TAKE(p->between, IN_BETWEEN, "d", 0, 0)
+    if ((p->wide = stride(all, p->laid * p->d, p->laid * p->d, "between")) < 0)
+        return -1;
+    TAKE(p->rows, OUT_ROWS, "d", ROWS * p->n, 1)
+    TAKE(p->q, OUT_LATERAL, "d", p->m * p->held, 1)
+    TAKE(p->forces, OUT_FORCES, "d", p->laid * p->d, 1)
+    TAKE(p->moved, OUT_MOVED, "d", p->laid * p->d, 1)
+    return 0;
+}
+
+/* Gap between a held point without forces and the straight needle, along a lateral axis. */
+static double gap(const Problem *p, int k, int a)
+{
+    double sum = 0.0;
+    for (int i = 0; i < p->d; i++)
+        sum += (p->origin[i] - (p->points[k * p->d + i] + p->free[k * p->d + i])) *
+               p->lateral[a * p->d + i];
+    return sum;
+}
+
+/* Forces in mesh coordinates, and the displacement by them. */
+static void act(Problem *p)
+{
+    const double *axial_force = p->rows + AXIAL_FORCE * p->n;
+    int d = p->d;
+    for (int i = 0; i < p->n; i++)
+        for (int c = 0; c < d; c++) {
+            double force = axial_force[i] * p->axial[c];
+            for (int a = 0; a < p->m && i < p->held; a++)
+                force += p->q[a * p->held + i] * p->lateral[a * d + c];
+            p->forces[i * d + c] = force;
+        }
+    memset(p->forces + p->n * d, 0, (size_t)((p->laid - p->n) * d) * sizeof(double));
+    product(p->between, p->wide, p->laid * d, p->n * d, p->forces, p->moved);
+}
+
+/* The displacement is that of the tissue, no longer that by the forces alone. */
+static void with_free(Problem *p)
+{
+    for (int i = 0; i < p->laid * p->d; i++)
+        p->moved[i] += p->free[i];
+}
+
+/* friction.slip_after, where not every point goes on sliding as it did */
+static void slip_after(Problem *p, const signed char *status)
+{
+    double *rows = p->rows, whole = p->numbers[WEAKENING];
+    int n = p->n, still = fabs(p->numbers[ADVANCE]) <= STILL;
+    double healed = exp(-p->numbers[DURATION] / p->numbers[HEALING]);
+    for (int i = 0; i < n; i++) {
+        double force = rows[FRICTION * n + i];
+        double after = force * p->strain[i] < 0 ? 0.0 : p->slip[i];
+        if (status[i] != 0)
+            after += fabs(rows[SLID * n + i]);
+        else if (still)
+            after *= healed;
+        else {
+            double bound = force > 0 ? rows[HIGH * n + i] : -rows[LOW * n + i];
+            after = fmin(after, whole * fabs(force) / fmax(bound, 1e-300));
+        }
+        rows[SLIP * n + i] = after;
+    }
+}
+
+enum { /* what `slide` is given besides; no factor: nothing is tried */
+    IN_MOVED = COMMON, IN_STATIC, IN_KINETIC, IN_SLID, IN_MIXED, IN_FACTOR, IN_LENGTHS, IN_LEAST,
+    IN_KINDS, IN_ANSWERS, IN_PRODUCTS, SLIDE_ARGUMENTS
+};
+
+typedef struct {
+    double *moved, *fixed, *kinetic, *slid; /* `fixed` is the static limit */
+    double *mixed[2], *factor, *arclength, *least, *kinds, *answers, *products;
+    int mixed_wide[2], count;
+} Guess;
+
+static int take_guess(Guess *g, const Problem *p, Buffers *all, PyObject *const *arguments)
+{
+    int size = p->m * p->held;
+    TAKE(g->moved, IN_MOVED, "d", p->n * p->d, 0)
+    TAKE(g->fixed, IN_STATIC, "d", p->n, 0)
+    TAKE(g->kinetic, IN_KINETIC, "d", p->n, 0)
+    TAKE(g->slid, IN_SLID, "d", p->n, 0)
+    if (arguments[IN_FACTOR] == Py_None)
+        return 0;
+    PyObject *mixed = arguments[IN_MIXED];
+    if (!PyTuple_Check(mixed) || PyTuple_GET_SIZE(mixed) != p->m) {
+        PyErr_SetString(PyExc_ValueError, "mixed: not a block for each lateral axis");
+        return -1;
+    }
+    for (int a = 0; a < p->m; a++) {
+        g->mixed[a] = array(all, PyTuple_GET_ITEM(mixed, a), "d", 0, 0, "mixed");
+        if (g->mixed[a] == NULL ||
+            (g->mixed_wide[a] = stride(all, p->held, p->n, "mixed")) < 0)
+            return -1;
+    }
+    TAKE(g->factor, IN_FACTOR, "d", (Py_ssize_t)size * size, 0)
+    TAKE(g->arclength, IN_LENGTHS, "d", p->held, 0)
+    TAKE(g->least, IN_LEAST, "d", 0, 0)
+    g->count = p->m * (2 + TAKEN(double));
+    if (g->count > p->m * (2 + p->held)) {
+        PyErr_SetString(PyExc_ValueError, "least: more points vary than are held");
+        return -1;
+    }
+    TAKE(g->kinds, IN_KINDS, "d", g->count * size, 0)
+    TAKE(g->answers, IN_ANSWERS, "d", g->count * size, 0)
+    TAKE(g->products, IN_PRODUCTS, "d", g->count * g->count, 0)
+    return 0;
+}
+
+/* What a step is about, whoever solves it: lengths, shares, limits; returns the reach. */
+static double set_up(Problem *p, const Guess *g)
+{
+    const double *number = p->numbers;
+    double *rows = p->rows, h = number[SPACING], depth = number[DEPTH];
+    double *share = rows + SHARE * p->n, *along = rows + ALONG * p->n;
+    double *lengths = rows + LENGTHS * p->n;
+    int n = p->n, d = p->d;
+    coverage(depth, n, h, lengths);
+    tip_share(lengths, n, depth, number[BEVEL], h, share);
+    hold_softness(depth, p->held, number[BEVEL], h, number[GRIP], p->softness);
+    for (int k = 0; k < p->held; k++)
+        p->arclength[k] = h * k + (number[LENGTH] - depth);
+    double advance = number[ADVANCE];
+    double pace = advance * number[BEFORE] > 0 ? advance / number[BEFORE] : 0.0;
+    for (int i = 0; i < n; i++) {
+        along[i] = dot(p->free + i * d, p->axial, d);
+        rows[ELASTIC * n + i] =
+            dot(g->moved + i * d, p->axial, d) - along[i] + advance + p->strain[i];
+        rows[SOFT * n + i] = 1.0 / (number[PRESLIDING] * fmax(lengths[i], LEAST * h));
+        /* friction.limits: what slides goes on, what turns round has to stick first */
+        double slip = p->slip[i];
+        if (p->status[i] * advance > 0)
+            slip += fabs(g->slid[i]) * pace;
+        double left = fmax(1.0 - slip / number[WEAKENING], 0.0);
+        double onward = left * (g->fixed[i] - g->kinetic[i]) + g->kinetic[i];
+        rows[LOW * n + i] = -(p->strain[i] > 0 ? g->fixed[i] : onward) * lengths[i];
+        rows[HIGH * n + i] = (p->strain[i] < 0 ? g->fixed[i] : onward) * lengths[i];
+    }
+    return number[REACH] - dot(share, along, n);
+}
+
+/* Whether all points, and the tip, go on sliding one way: FrictionStart.sliding. */
+static int one_way(const Problem *p)
+{
+    int way = p->status[0];
+    for (int i = 0; i < p->n; i++)
+        if (p->status[i] != way || p->strain[i] * way <= 0)
+            return 0;
+    return p->status[p->n] == way && p->numbers[ADVANCE] * way > 0 ? way : 0;
+}
+
+/* Solve with friction and tip at their guessed bounds: 1 if they hold, 0 if not. */
+static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int *pivots,
+                     double *tip_force, double *overlap)
+{
+    int n = p->n, held = p->held, d = p->d, along_tip = p->status[n] > 0;
+    double *rows = p->rows, tip = along_tip ? p->numbers[LIMIT] : 0.0, largest = -DBL_MAX;
+    const double *share = rows + SHARE * n;
+    for (int i = 0; i < n; i++) {
+        double force = rows[(p->status[i] > 0 ? HIGH : LOW) * n + i];
+        rows[FRICTION * n + i] = force;
+        rows[AXIAL_FORCE * n + i] = force + tip * share[i];
+        largest = fmax(largest, rows[ELASTIC * n + i]);
+    }
+    double allowed = p->numbers[TOLERANCE] * fmax(largest, fabs(reach));
+    for (int a = 0; a < p->m; a++) {
+        product(g->mixed[a], g->mixed_wide[a], held, n, rows + AXIAL_FORCE * n, p->q + a * held);
+        for (int k = 0; k < held; k++)
+            p->q[a * held + k] = gap(p, k, a) - p->q[a * held + k];
+    }
+    if (answer(p->m, held, g->factor, g->count, g->kinds, g->answers, g->products,
+               p->arclength[0] - g->arclength[0], p->numbers[RIGIDITY], p->softness, g->least,
+               p->q, work, pivots) < 0)
+        return 0;
+    act(p);
+    *tip_force = tip;
+    *overlap = reach - p->numbers[TIP_SOFTNESS] * tip;
+    for (int i = 0; i < n; i++) {
+        double went = dot(p->moved + i * d, p->axial, d);
+        double strain = rows[SOFT * n + i] * rows[FRICTION * n + i];
+        *overlap -= share[i] * went;
+        rows[STRAIN * n + i] = strain;
+        rows[SLID * n + i] = rows[ELASTIC * n + i] - went - strain;
+        if (!(rows[SLID * n + i] * p->status[i] >= -allowed))
+            return 0;
+    }
+    return (along_tip ? *overlap : -*overlap) >= -allowed;
+}
+
+static PyObject *slide(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    (void)module;
+    if (given != SLIDE_ARGUMENTS) {
+        PyErr_Format(PyExc_TypeError, "%d arguments, not %zd", SLIDE_ARGUMENTS, given);
+        return NULL;
+    }
+    Buffers all = {.count = 0};
+    Problem p;
+    Guess g = {.factor = NULL};
+    PyObject *answered = NULL;
+    double *work = NULL, tip = 0.0, overlap = 0.0;
+    if (take(&p, &all, arguments) < 0 || take_guess(&g, &p, &all, arguments) < 0)
+        goto end;
+    double reach = set_up(&p, &g);
+    int holds = 0;
+    if (g.factor != NULL && memchr(p.status, 0, (size_t)(p.n + 1)) == NULL) {
+        int count = g.count, each = count / p.m;
+        size_t room = (size_t)(count * (count + 1) + each * each) * sizeof(double);
+        if ((work = PyMem_Malloc(room + (size_t)count * sizeof(int))) == NULL) {
+            PyErr_NoMemory();
+            goto end;
+        }
+        holds = at_bounds(&p, &g, reach, work, (int *)((char *)work + room), &tip, &overlap);
+    }
+    if (holds) {
+        if (one_way(&p))
+            for (int i = 0; i < p.n; i++)
+                p.rows[SLIP * p.n + i] = p.slip[i] + fabs(p.rows[SLID * p.n + i]);
+        else
+            slip_after(&p, p.status);
+        with_free(&p);
+    }
+    answered = Py_BuildValue("Oddd", holds ? Py_True : Py_False, reach, tip, overlap);
+end:
+    PyMem_Free(work);
+    release(&all);
+    return answered;
+}
+
+enum { /* what `bounded` is given besides */
+    IN_BLOCKS = COMMON, OUT_STATUS, BOUNDED_ARGUMENTS
+};
+
+/* The contact problem: min 1/2 x'Ax - b'x with low <= x <= high. */
+typedef struct {
+    double *matrix, *right, *low, *high, *x, *gradient, *block, *target, *change, *pulled;
+    int *free;
+    int size;
+} Contact;
+
+static size_t contact_room(int size)
+{
+    return (size_t)size * ((size_t)(2 * size + 8) * sizeof(double) + sizeof(int));
+}
+
+static void lay_out(Contact *c, int size, double *work)
+{
+    c->size = size;
+    c->matrix = work;
+    c->block = c->matrix + (size_t)size * size;
+    c->right = c->block + (size_t)size * size;
+    c->low = c->right + size;
+    c->high = c->low + size;
+    c->x = c->high + size;
+    c->gradient = c->x + size;
+    c->target = c->gradient + size;
+    c->change = c->target + size;
+    c->pulled = c->change + size;
+    c->free = (int *)(c->pulled + size);
+}
+
+/* Set up the matrix and the bounds of a step; the blocks are those of ResponseTable.along, axis by axis. */
+static int assemble(const Problem *p, double reach, PyObject *blocks, Buffers *all, Contact *c)
+{
+    int m = p->m, k = p->held, n = p->n, wide = m * k, size = c->size;
+    const double *share = p->rows + SHARE * n;
+    for (int a = 0; a <= m; a++)
+        for (int b = 0; b <= a; b++) {
+            int rows = a == m ? n : k, columns = b == m ? n : k;
+            PyObject *object = PyTuple_GET_ITEM(blocks, a * (a + 1) / 2 + b);
+            const double *from = array(all, object, "d", 0, 0, "blocks");
+            int across = from == NULL ? -1 : stride(all, rows, columns, "blocks");
+            if (across < 0)
+                return -1;
+            for (int i = 0; i < rows; i++)
+                for (int j = 0; j < columns; j++) {
+                    double value = from[(size_t)i * across + j];
+                    c->matrix[(size_t)(a * k + i) * size + b * k + j] = value;
+                    c->matrix[(size_t)(b * k + j) * size + a * k + i] = value;
+                }
+        }
+    for (int a = 0; a < m; a++)
+        for (int i = 0; i < k; i++) {
+            double *row = c->matrix + (size_t)(a * k + i) * size + a * k;
+            for (int j = 0; j < k; j++) { /* C_n of Eq. (7) */
+                double near = fmin(p->arclength[i], p->arclength[j]);
+                double far = fmax(p->arclength[i], p->arclength[j]);
+                row[j] += near * near * (far - near / 3.0) * (0.5 / p->numbers[RIGIDITY]);
+            }
+            row[i] += p->softness[i];
+            c->right[a * k + i] = gap(p, i, a);
+            c->low[a * k + i] = -INFINITY;
+            c->high[a * k + i] = INFINITY;
+        }
+    double *last = c->matrix + (size_t)(size - 1) * size, pressed = 0.0;
+    int first = 0; /* the tip force is on the last points only */
+    while (first < n - 1 && share[first] == 0.0)
+        first++;
+    for (int i = 0; i < size - 1; i++) {
+        double *row = c->matrix + (size_t)i * size;
+        row[size - 1] = last[i] = dot(row + wide + first, share + first, n - first);
+    }
+    for (int i = 0; i < n; i++) {
+        pressed += share[i] * last[wide + i];
+        c->matrix[(size_t)(wide + i) * (size + 1)] += p->rows[SOFT * n + i];
+        c->right[wide + i] = p->rows[ELASTIC * n + i];
+        c->low[wide + i] = p->rows[LOW * n + i];
+        c->high[wide + i] = p->rows[HIGH * n + i];
+    }
+    last[size - 1] = pressed + p->numbers[TIP_SOFTNESS];
+    c->right[size - 1] = reach;
+    c->low[size - 1] = 0.0;
+    c->high[size - 1] = p->numbers[LIMIT];
+    return 0;
+}
+
+/* Set `target` to the minimum over the free unknowns, the others held where they are. */
+static int newton(Contact *c, int count)
+{
+    int size = c->size, one = 1, info = 0;
+    memcpy(c->target, c->x, (size_t)size * sizeof(double));
+    for (int i = 0; i < count; i++)
+        c->target[c->free[i]] = 0.0;
+    if (count == 0)
+        return 0;
+    if (count < size)
+        product(c->matrix, size, size, size, c->target, c->pulled);
+    for (int i = 0; i < count; i++) {
+        const double *row = c->matrix + (size_t)c->free[i] * size;
+        double *to = c->block + (size_t)i * count;
+        for (int j = 0; j <= i; j++)
+            to[j] = row[c->free[j]];
+        c->change[i] = c->right[c->free[i]] - (count < size ? c->pulled[c->free[i]] : 0.0);
+    }
+    /* row-major lower is column-major upper */
+    potrf("U", &count, c->block, &count, &info);
+    if (info != 0)
+        return -1;
+    potrs("U", &count, &one, c->block, &count, c->change, &count, &info);
+    for (int i = 0; i < count; i++)
+        c->target[c->free[i]] = c->change[i];
+    return 0;
+}
+
+static double clipped(double value, double low, double high)
+{
+    return fmin(fmax(value, low), high);
+}
+
+/* contact_solve._armijo: shorten the projected step until the objective falls. */
+static void armijo(Contact *c, int count)
+{
+    int size = c->size;
+    double slope = 0.0, step = 1.0, *trial = c->block, *moved = c->change, *pulled = c->pulled;
+    for (int i = 0; i < count; i++)
+        slope += c->gradient[c->free[i]] * (c->target[c->free[i]] - c->x[c->free[i]]);
+    for (;;) {
+        for (int i = 0; i < size; i++) {
+            trial[i] = clipped(c->x[i] + step * (c->target[i] - c->x[i]), c->low[i], c->high[i]);
+            moved[i] = trial[i] - c->x[i];
+        }
+        product(c->matrix, size, size, size, moved, pulled);
+        double fall = dot(c->gradient, moved, size) + 0.5 * dot(moved, pulled, size);
+        if (fall <= 1e-4 * step * slope || step < 1e-10)
+            break;
+        step *= 0.5;
+    }
+    for (int i = 0; i < size; i++) {
+        c->x[i] = trial[i];
+        c->gradient[i] += pulled[i];
+    }
+}
+
+/* contact_solve.solve_contact; returns how often it solved, 0 where it does not get there. */
+static int solve_contact(Contact *c, const signed char *guess, int sure, double tolerance,
+                         signed char *status)
+{
+    int size = c->size, count = 0;
+    double scale = 1e-300;
+    for (int i = 0; i < size; i++) {
+        int at = i < sure ? 0 : guess[i - sure];
+        scale = fmax(scale, fabs(c->right[i]));
+        c->x[i] = at < 0 ? c->low[i] : at > 0 ? c->high[i] : 0.0;
+        if (at == 0)
+            c->free[count++] = i;
+    }
+    double allowed = tolerance * scale;
+    if (newton(c, count) < 0)
+        return 0;
+    for (int i = 0; i < size; i++)
+        c->x[i] = clipped(c->target[i], c->low[i], c->high[i]);
+    product(c->matrix, size, size, size, c->x, c->gradient);
+    for (int i = 0; i < size; i++)
+        c->gradient[i] -= c->right[i];
+    for (int iteration = 1; iteration <= PATIENCE; iteration++) {
+        double worst = 0.0;
+        count = 0;
+        for (int i = 0; i < size; i++) {
+            int low = c->x[i] <= c->low[i], high = c->x[i] >= c->high[i];
+            int pressed = (low && c->gradient[i] > 0) || (high && c->gradient[i] < 0);
+            status[i] = !pressed ? 0 : low ? -1 : 1;
+            if (!pressed) {
+                c->free[count++] = i;
+                worst = fmax(worst, fabs(c->gradient[i]));
+            }
+        }
+        if (worst <= allowed)
+            return iteration;
+        if (newton(c, count) < 0)
+            return 0;
+        armijo(c, count);
+    }
+    return 0;
+}
+
+static PyObject *bounded(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    (void)module;
+    if (given != BOUNDED_ARGUMENTS) {
+        PyErr_Format(PyExc_TypeError, "%d arguments, not %zd", BOUNDED_ARGUMENTS, given);
+        return NULL;
+    }
+    Buffers all = {.count = 0};
+    Problem p;
+    Contact c;
+    PyObject *answered = NULL, *blocks = arguments[IN_BLOCKS];
+    signed char *status = NULL, *state;
+    double *work = NULL;
+    if (take(&p, &all, arguments) < 0)
+        goto end;
+    int n = p.n, wide = p.m * p.held, size = wide + n + 1;
+    if (!PyTuple_Check(blocks) || PyTuple_GET_SIZE(blocks) != (p.m + 1) * (p.m + 2) / 2) {
+        PyErr_SetString(PyExc_ValueError, "blocks: not one for each pair of axes");
+        goto end;
+    }
+    if ((state = array(&all, arguments[OUT_STATUS], "b", n + 1, 1, "state")) == NULL)
+        goto end;
+    if ((work = PyMem_Malloc(contact_room(size) + (size_t)size)) == NULL) {
+        PyErr_NoMemory();
+        goto end;
+    }
+    lay_out(&c, size, work);
+    status = (signed char *)(c.free + size);
+    double reach = p.numbers[REACH];
+    if (assemble(&p, reach, blocks, &all, &c) < 0)
+        goto end;
+    int solves = solve_contact(&c, p.status, wide, p.numbers[TOLERANCE], status);
+    if (solves == 0) {
+        answered = Py_NewRef(Py_None);
+        goto end;
+    }
+    double *rows = p.rows, tip = c.x[size - 1], scale = 1e-300, loose = 0.0;
+    for (int i = 0; i < size; i++) {
+        scale = fmax(scale, fabs(c.right[i]));
+        if (status[i] == 0)
+            loose = fmax(loose, fabs(c.gradient[i]));
+    }
+    memcpy(p.q, c.x, (size_t)wide * sizeof(double));
+    memcpy(state, status + wide, (size_t)(n + 1));
+    for (int i = 0; i < n; i++) {
+        rows[FRICTION * n + i] = c.x[wide + i];
+        rows[AXIAL_FORCE * n + i] = c.x[wide + i] + tip * rows[SHARE * n + i];
+    }
+    act(&p);
+    for (int i = 0; i < n; i++) {
+        rows[STRAIN * n + i] = rows[SOFT * n + i] * rows[FRICTION * n + i];
+        rows[SLID * n + i] = rows[ELASTIC * n + i] - dot(p.moved + i * p.d, p.axial, p.d) -
+                             rows[STRAIN * n + i];
+    }
+    slip_after(&p, state);
+    with_free(&p);
+    double softest = c.matrix[(size_t)size * size - 1];
+    answered = Py_BuildValue("ddddi", tip, state[n] != 0 ? -c.gradient[size - 1] : 0.0,
+                             state[n] == 0 ? fmax(0.0, p.numbers[LIMIT] - tip) * softest : 0.0,
+                             loose / scale, solves);
+end:
+    PyMem_Free(work);
+    release(&all);
+    return answered;
+}
+
+static void *function(const char *module, const char *name)
+{
+    void *pointer = NULL;
+    PyObject *from = PyImport_ImportModule(module), *table = NULL, *capsule = NULL;
+    if (from != NULL && (table = PyObject_GetAttrString(from, "__pyx_capi__")) != NULL &&
+        (capsule = PyMapping_GetItemString(table, name)) != NULL)
+        pointer = PyCapsule_GetPointer(capsule, PyCapsule_GetName(capsule));
+    Py_XDECREF(capsule);
+    Py_XDECREF(table);
+    Py_XDECREF(from);
+    return pointer;
+}
+
+static PyMethodDef methods[] = {
+    {"slide", (PyCFunction)(void (*)(void))slide, METH_FASTCALL,
+     "Set up a step, and solve it with every force at the bound where it was, if that holds."},
+    {"bounded", (PyCFunction)(void (*)(void))bounded, METH_FASTCALL,
+     "Solve in full a step that is set up."},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, .m_name = "_balance", .m_size = -1, .m_methods = methods,
+};
+
+PyMODINIT_FUNC PyInit__balance(void)
+{
+    gemv = (gemv_t)function("scipy.linalg.cython_blas", "dgemv");
+    potrf = (potrf_t)function("scipy.linalg.cython_lapack", "dpotrf");
+    potrs = (potrs_t)function("scipy.linalg.cython_lapack", "dpotrs");
+    gesv = (gesv_t)function("scipy.linalg.cython_lapack", "dgesv");
+    if (gemv == NULL || potrf == NULL || potrs == NULL || gesv == NULL)
+        return NULL;
+    return PyModule_Create(&definition);
+}
