@@ -20,6 +20,17 @@ def share(*folders: str) -> list[tuple[str, list[str]]]:
     return sorted(files.items())
 
 
+def compiled(place: str) -> Extension:
+    """Describe a module in C at a place in the package."""
+    return Extension(
+        f"{NAME}.{place.replace('/', '.')}",
+        [f"{NAME}/{place}.c"],
+        depends=[f"{NAME}/_buffers.h"],
+        extra_compile_args=["-O3", "-std=c11", "-Wall", "-Wextra", "-ffp-contract=off"],
+        optional=True,
+    )
+
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -29,14 +40,10 @@ setup(
     maintainer_email="maintainers@example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     python_requires=">=3.10",
-    # A compiled tick; where there is no compiler, the same in numpy.
+    # The hot parts of a tick; where there is no compiler, numpy does the same.
     ext_modules=[
-        Extension(
-            f"{NAME}.interaction._balance",
-            [f"{NAME}/interaction/_balance.c"],
-            extra_compile_args=["-O3", "-std=c11", "-Wall", "-Wextra", "-ffp-contract=off"],
-            optional=True,
-        )
+        compiled("interaction/_balance"),
+        compiled("tissue/_grid"),
     ],
     install_requires=[
         "numpy>=1.26",

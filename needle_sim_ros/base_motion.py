@@ -104,9 +104,11 @@ def jumps(rate: tuple[float, ...], before: tuple[float, ...] | None, length: flo
         return False
     if before is None:
         return True
-    scales = (1.0, 1.0, 1.0, length, length, length)
-    largest = max(abs(r) * s for pair in (rate, before) for r, s in zip(pair, scales, strict=True))
-    change = max(abs(r - b) * s for r, b, s in zip(rate, before, scales, strict=True))
+    largest = change = 0.0
+    for number, (now, then) in enumerate(zip(rate, before, strict=True)):
+        scale = 1.0 if number < 3 else length
+        largest = max(largest, scale * abs(now), scale * abs(then))
+        change = max(change, scale * abs(now - then))
     return change > _JUMP * largest
 
 

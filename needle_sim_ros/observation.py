@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.lazily import lazily
 from needle_sim_ros.needle import beam
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.dynamics import Dynamics
@@ -60,7 +60,7 @@ class Observation:
         per_force = beam.flexibility(at, contact.arclength, needle.flexural_rigidity)
         return np.asarray(-(contact.lateral @ per_force.T))
 
-    @cached_property
+    @lazily
     def _moments(self) -> list[list[float]]:
         """Sums of q, q s, q s^2 and q s^3 over the lateral forces, one list per direction."""
         s = self._contact.arclength
@@ -71,7 +71,7 @@ class Observation:
         sums: list[list[float]] = (self._contact.lateral @ powers.T).tolist()
         return sums
 
-    @cached_property
+    @lazily
     def _tip_bent(self) -> list[float]:
         # all forces act between clamp and tip: a = s_k, b = L in the flexibility
         needle = self._scene.needle
@@ -92,12 +92,12 @@ class Observation:
         x, y = lateral if len(lateral) == 2 else (lateral[0], 0.0)
         return np.array([x, y, axial])
 
-    @cached_property
+    @lazily
     def tip_deflection(self) -> Vector:
         """Deflection of the tip from the undeflected needle, base frame, z = 0, (3,), m."""
         return self._in_base(self._tip_bent, 0.0)
 
-    @cached_property
+    @lazily
     def tip_position(self) -> Vector:
         """Position of the tip, tissue frame, (3,), m."""
         *lateral, axial = self._pose.terms
@@ -109,13 +109,13 @@ class Observation:
                 place[i] += c * bent
         return np.array(place if len(place) == 3 else [place[0], 0.0, place[1]])
 
-    @cached_property
+    @lazily
     def tip_slope(self) -> Vector:
         """Slopes of the deflected needle at the tip along base x and y, (2,)."""
         scale = -1.0 / (2.0 * self._scene.needle.flexural_rigidity)
         return self._in_base([scale * square for _, _, square, _ in self._moments], 0.0)[:2]
 
-    @cached_property
+    @lazily
     def base_force(self) -> Vector:
         """What the tissue does to the needle, at the base, base frame, (3,), N.
 
@@ -124,7 +124,7 @@ class Observation:
         axial = -(self.friction_force + self._contact.tip)
         return self._in_base([-total for total, *_ in self._moments], axial)
 
-    @cached_property
+    @lazily
     def base_torque(self) -> Vector:
         """Torque of the tissue on the needle about the base, base frame, (3,), N m."""
         contact = self._contact
@@ -147,7 +147,7 @@ class Observation:
         twist = float(held[1] @ contact.lateral[0] - held[0] @ contact.lateral[1])
         return np.array([-moment[1], moment[0], twist])
 
-    @cached_property
+    @lazily
     def _held_bent(self) -> Vector:
         """Lateral deflection where the lateral forces act, shape (d - 1, k), m.
 
@@ -162,7 +162,7 @@ class Observation:
         bent += contact.softness * contact.lateral
         return bent
 
-    @cached_property
+    @lazily
     def friction_force(self) -> float:
         """Sum of the axial friction on the tissue, positive when pushing in, N."""
         return float(self._contact.friction.sum())
@@ -172,7 +172,7 @@ class Observation:
         """Axial force of the tip on the tissue, N."""
         return float(self._contact.tip)
 
-    @cached_property
+    @lazily
     def contact_points(self) -> Vector:
         """Reference positions of the inserted track points and, last, the tip, (k, 3), m."""
         contact = self._contact
@@ -183,7 +183,7 @@ class Observation:
         points = contact.track.points[: len(contact.arclength)]
         return self._world(np.vstack([points, contact.track.at(contact.depth)]))
 
-    @cached_property
+    @lazily
     def contact_forces(self) -> Vector:
         """Forces on the tissue at the contact points, tissue frame, (k, 3), N."""
         contact, pose = self._contact, self._pose
@@ -197,7 +197,7 @@ class Observation:
         tip = contact.friction[held:].sum() + contact.tip
         return self._world(np.vstack([along, tip * pose.axial]))
 
-    @cached_property
+    @lazily
     def marker_displacements(self) -> Vector:
         """Displacements of the markers, tissue frame, (n, 3), m."""
         if len(self._markers) == 0:
@@ -205,7 +205,7 @@ class Observation:
         moved = self._dynamics.at_readers(self._tissue, *self.loaded())
         return self._world(moved.reshape(len(self._markers), -1))
 
-    @cached_property
+    @lazily
     def marker_positions(self) -> Vector:
         """Positions of the markers now, tissue frame, (n, 3), m."""
         return np.asarray(self._markers + self.marker_displacements)
@@ -221,7 +221,7 @@ class Observation:
             return self._empty, np.zeros((0, len(self._pose.axial)))
         return contact.track.table, contact.forces
 
-    @cached_property
+    @lazily
     def needle_points(self) -> Vector:
         """The deflected needle from base to tip, tissue frame, (m, 3), m."""
         needle, pose = self._scene.needle, self._pose

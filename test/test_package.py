@@ -21,7 +21,17 @@ SOURCE = ROOT / "needle_sim_ros"
 # A part may import what stands in an earlier row, and its neighbours if no circle results.
 LAYERS = (
     {"errors"},
-    {"command", "geometry", "parallel", "plain", "results_file", "resources", "schema"},
+    {
+        "command",
+        "compiled",
+        "geometry",
+        "lazily",
+        "parallel",
+        "plain",
+        "results_file",
+        "resources",
+        "schema",
+    },
     {"scene", "scene_checks"},
     {"tissue", "needle", "protocol"},
     {"interaction"},

@@ -8,11 +8,9 @@
  * Linear algebra is scipy's BLAS and LAPACK, found through scipy.linalg.cython_blas and
  * cython_lapack. Arrays come by the buffer protocol, row-major.
  */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "../_buffers.h"
 #include <float.h>
 #include <math.h>
-#include <string.h>
 
 typedef void (*gemv_t)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
                        double *, int *);
@@ -28,50 +26,6 @@ static gesv_t gesv;
 #define LEAST 1e-6  /* as in spreading.py */
 #define STILL 1e-12 /* as in friction.py */
 #define PATIENCE 10 /* as in contact_solve.py */
-#define MOST_ARRAYS 32
-
-/* Buffers in use, released together; there is room for those of either function. */
-typedef struct {
-    Py_buffer held[MOST_ARRAYS];
-    int count;
-} Buffers;
-
-static void release(Buffers *all)
-{
-    while (all->count > 0)
-        PyBuffer_Release(&all->held[--all->count]);
-}
-
-/* Return a contiguous array of at least so many items of a kind; NULL with an exception if not. */
-static void *array(Buffers *all, PyObject *object, const char *kind, Py_ssize_t items,
-                   int writable, const char *name)
-{
-    Py_buffer *view = &all->held[all->count];
-    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
-    if (PyObject_GetBuffer(object, view, flags) < 0)
-        return NULL;
-    all->count++;
-    if (view->format == NULL || strcmp(view->format, kind) != 0 ||
-        view->len < items * view->itemsize) {
-        PyErr_Format(PyExc_ValueError, "%s: %zd items '%s', not %zd of '%s'", name,
-                     view->len / view->itemsize, view->format, items, kind);
-        return NULL;
-    }
-    return view->buf;
-}
-
-/* Return the stride of the rows of a matrix with at least so many rows and columns. */
-static int stride(Buffers *all, Py_ssize_t rows, Py_ssize_t columns, const char *name)
-{
-    Py_buffer *view = &all->held[all->count - 1];
-    if (view->ndim != 2 || view->shape[0] < rows || view->shape[1] < columns) {
-        PyErr_Format(PyExc_ValueError, "%s: not a matrix of %zd rows and %zd columns", name, rows,
-                     columns);
-        return -1;
-    }
-    return (int)view->shape[1];
-}
-
 /* y = A x, with A of rows x columns at a stride. */
 static void product(double *matrix, int width, int rows, int columns, double *x, double *y)
 {
@@ -235,11 +189,6 @@ typedef struct {
     signed char *status;
     int d, m, n, held, laid, wide;
 } Problem;
-
-#define TAKE(into, index, kind, items, write)                                                     \
-    if ((into = array(all, arguments[index], kind, items, write, #into)) == NULL)                 \
-        return -1;
-#define TAKEN(size) ((int)(all->held[all->count - 1].len / (Py_ssize_t)sizeof(size)))
 
 static int take(Problem *p, Buffers *all, PyObject *const *arguments)
 {

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction import compiled, friction
+from needle_sim_ros.interaction import compiled_balance, friction
 from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
 from needle_sim_ros.interaction.lateral_hold import LateralHold
@@ -70,9 +70,9 @@ class Balance:
         self._spacing, self._bevel = spacing, bevel
         self._hold: LateralHold | None = None
         self._compiled = None
-        if compiled.available():
+        if compiled_balance.available():
             constants = (bevel, self._grip, self._tip_softness)
-            self._compiled = compiled.CompiledBalance(scene, *constants)
+            self._compiled = compiled_balance.CompiledBalance(scene, *constants)
 
     def dent(self, force: float) -> float:
         """Return how far a tip force, N, presses the tip into its own contact, m."""
@@ -157,7 +157,8 @@ class Balance:
         last = min(int(depth / h), track.laid - 2)  # the last point that the tip has passed
         bounds = friction.guess(status, last + 2)  # rows: the points passed and the one ahead
         held = max(1, last + (depth - h * last > LEAST * h))
-        hold = self._hold_of(track.table, step, depth, held) if bounds.all() else None
+        stuck = 0 in bounds.tobytes()
+        hold = None if stuck else self._hold_of(track.table, step, depth, held)
         reach = self._length + track.dent - step.after.reach(track.place(depth))
         free = step.free(track.table)
         task = InsertedTask(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from needle_sim_ros.errors import SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
+from needle_sim_ros.tissue import compiled_grid
 from needle_sim_ros.tissue.elements import assemble, scalar_basis
 from needle_sim_ros.tissue.grid_order import nested_dissection
 from needle_sim_ros.tissue.material import MaterialField
@@ -53,6 +54,10 @@ class TissueModel:
         self.free: Index = np.flatnonzero(~held)
         self.position_of = np.full(len(held), -1, dtype=np.intp)
         self.position_of[self.free] = np.arange(len(self.free))
+        self._compiled = None
+        if isinstance(self.grid, TissueMesh) and compiled_grid.available(self.grid):
+            dofs = self.basis.element_dofs
+            self._compiled = compiled_grid.CompiledGrid(self.grid, dofs, self._local_nodes)
         self.stiffness = sp.csr_array(stiffness[self.free][:, self.free] * depth)
         self._scalar_mass = mass * depth
 
@@ -115,6 +120,8 @@ class TissueModel:
             Their shape functions there.
         inside : ndarray of bool, shape (k,)
         """
+        if self._compiled is not None:
+            return self._compiled(points)
         cells, local, within = self.grid.locate(points)
         if self.grid.quadrilateral:
             values = self._tensor_product(local)

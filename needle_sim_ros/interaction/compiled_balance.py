@@ -6,10 +6,9 @@ What Balance does in hundreds of calls of numpy, `_balance.c` does in two, to th
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 
+from needle_sim_ros import compiled
 from needle_sim_ros.interaction.friction import fitted
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.solution import BalanceSolution
@@ -21,7 +20,6 @@ try:
 except ImportError:  # built without a compiler, or run from the source
     _balance = None  # type: ignore[assignment]
 
-SWITCH = "NEEDLE_SIM_COMPILED"  # environment variable; `off` keeps to numpy
 # rows of what the compiled code writes for each point, and how many there are
 _FRICTION, _SHARE, _STRAIN, _SLIP, _SLID, _ROWS = 0, 1, 2, 3, 4, 12
 _NO_HOLD = (None,) * 7
@@ -30,7 +28,7 @@ _REACH = 5  # number of the step's number that the first part makes out
 
 def available() -> bool:
     """Return whether there is compiled code, and it is not switched off."""
-    return _balance is not None and os.environ.get(SWITCH, "on").lower() != "off"
+    return _balance is not None and compiled.wanted()
 
 
 class CompiledBalance:
