@@ -149,6 +149,7 @@ def _kept_alive(bar: tqdm[Any]) -> Iterator[None]:
 
 def prepared(scene: Scene) -> Simulator:
     """Return the scene's simulator; its preparation shows progress if it takes long."""
+    from needle_sim_ros.interaction import compiled_balance
     from needle_sim_ros.simulator import Simulator
 
     with progress(1, f"preparing {scene.name}", unit="part") as bar:
@@ -160,4 +161,6 @@ def prepared(scene: Scene) -> Simulator:
         with _kept_alive(bar):
             simulator = Simulator(scene, advance)
     print(f"tissue: {simulator.preparation}", file=sys.stderr)
+    if not compiled_balance.available():
+        print("contact: numpy, as nothing is compiled here; ticks take longer", file=sys.stderr)
     return simulator

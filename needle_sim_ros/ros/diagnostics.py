@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from needle_sim_ros.interaction import compiled_balance
 from needle_sim_ros.ros.clock_loop import ClockLoop
 from needle_sim_ros.ros.plant import Plant
 
@@ -84,6 +85,7 @@ class Diagnostics:
             "waits_for_solves": str(plant.waits),
             "prepared_beside_the_plan": f"{plant.prepared_beside:.0%}",
             "factorization": plant.factorization,
+            "compiled": "yes" if compiled_balance.available() else "no",
             "simulated_time_s": f"{plant.time:.6f}",
         }
         return self._status("clock loop", level, text, values)

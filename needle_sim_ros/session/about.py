@@ -8,10 +8,11 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from needle_sim_ros import __version__
+from needle_sim_ros.interaction import compiled_balance
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.libraries import choose
 
-_LIBRARIES = ("numpy", "scipy", "scikit-fem", "pypardiso", "numba", "mcap", "rclpy")
+_LIBRARIES = ("numpy", "scipy", "scikit-fem", "pypardiso", "mcap", "rclpy")
 
 
 def versions(scene: Scene | None = None) -> dict[str, str]:
@@ -19,10 +20,12 @@ def versions(scene: Scene | None = None) -> dict[str, str]:
 
     With a scene also the library that factorises its tissue here.
     """
+    compiled = "yes" if compiled_balance.available() else "no"
     if scene is None:
-        return dict(_versions())
+        return {**_versions(), "compiled": compiled}
     return {
         **_versions(),
+        "compiled": compiled,
         "factorization": choose(scene.solver.factorization, scene.dimension).name,
     }
 

@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import NeedleSimError
+from needle_sim_ros.interaction import compiled_balance
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
 
@@ -317,6 +318,7 @@ def test_diagnostics_say_how_it_goes(cell):
     assert int(loop["overruns"]) >= 0
     assert int(loop["waits_for_solves"]) == 0
     assert loop["factorization"].split()[0] in ("superlu", "pardiso")
+    assert loop["compiled"] == ("yes" if compiled_balance.available() else "no")
     commands = parts["needle_sim: commands"]
     assert commands["commands_received"] == "2"
     assert commands["commands_rejected"] == "1"
