@@ -20,8 +20,8 @@ env: $(STAMP)
 
 # Editable, so that the commands always run the source as it is: only what setup.py says and what
 # it compiles remake it.
-COMPILED = needle_sim_ros/interaction/_balance.c needle_sim_ros/tissue/_grid.c
-$(STAMP): setup.py $(COMPILED) needle_sim_ros/_buffers.h
+COMPILED = $(wildcard needle_sim_ros/*/*.c)
+$(STAMP): setup.py $(COMPILED) $(wildcard needle_sim_ros/*.h needle_sim_ros/*/*.h)
 	@$(PYTHON) .ci/check_python.py
 	@echo "Installing into $(VENV) (about 300 MB, one to three minutes) ..."
 	@$(PYTHON) -m venv --clear "$(VENV)"

@@ -25,7 +25,7 @@ def compiled(place: str) -> Extension:
     return Extension(
         f"{NAME}.{place.replace('/', '.')}",
         [f"{NAME}/{place}.c"],
-        depends=[f"{NAME}/_buffers.h"],
+        depends=[str(header) for header in Path(NAME).rglob("*.h")],
         extra_compile_args=["-O3", "-std=c11", "-Wall", "-Wextra", "-ffp-contract=off"],
         optional=True,
     )

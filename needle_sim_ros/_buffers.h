@@ -54,6 +54,21 @@ static inline int stride(Buffers *all, Py_ssize_t rows, Py_ssize_t columns, cons
     return (int)view->shape[1];
 }
 
+/* Copy a short vector of so many doubles, strided or not; -1 with an exception if it is not one. */
+static inline int brief(PyObject *object, int count, double *into)
+{
+    Py_buffer view;
+    if (PyObject_GetBuffer(object, &view, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
+        return -1;
+    int fits = view.ndim == 1 && view.shape[0] == count && strcmp(view.format, "d") == 0;
+    for (int i = 0; fits && i < count; i++)
+        into[i] = *(double *)((char *)view.buf + i * view.strides[0]);
+    PyBuffer_Release(&view);
+    if (!fits)
+        PyErr_Format(PyExc_ValueError, "a vector has not %d numbers, one an axis", count);
+    return fits ? 0 : -1;
+}
+
 /* Take an array in a function that returns -1 with an exception, and tell how long it is. */
 #define TAKE(into, index, kind, items, write)                                                     \
     if ((into = array(all, arguments[index], kind, items, write, #into)) == NULL)                 \

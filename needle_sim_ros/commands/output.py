@@ -162,5 +162,5 @@ def prepared(scene: Scene) -> Simulator:
             simulator = Simulator(scene, advance)
     print(f"tissue: {simulator.preparation}", file=sys.stderr)
     if not compiled_balance.available():
-        print("contact: numpy, as nothing is compiled here; ticks take longer", file=sys.stderr)
+        print("contact: numpy, nothing compiled (see doc/install.md)", file=sys.stderr)
     return simulator

@@ -1,167 +1,20 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The balance of an inserted needle: what balance.py, friction.py, sliding.py, contact_solve.py,
- * spreading.py and lateral_hold.py do in hundreds of calls of numpy, in their order and with their
- * names, in two. `slide` takes every force to stay at the bound where it was; where that does not
- * hold, or one was free, `bounded` solves the problem in full. Both answer None where they do not
- * get there, and Python does it all.
+/* The balance of an inserted needle: what balance.py, friction.py, sliding.py and what they call
+ * do in hundreds of calls of numpy, in their order and with their names, in two. `slide` takes
+ * every force to stay at the bound where it was; where that does not hold, or one was free,
+ * `bounded` solves the problem in full. The latter answers None where it does not get there, and
+ * Python does it all.
  *
- * Linear algebra is scipy's BLAS and LAPACK, found through scipy.linalg.cython_blas and
- * cython_lapack. Arrays come by the buffer protocol, row-major.
+ * Arrays come by the buffer protocol, row-major.
  */
 #include "../_buffers.h"
+#include "_contact_solve.h"
+#include "_lateral_hold.h"
+#include "_spreading.h"
 #include <float.h>
 #include <math.h>
 
-typedef void (*gemv_t)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
-                       double *, int *);
-typedef void (*potrf_t)(char *, int *, double *, int *, int *);
-typedef void (*potrs_t)(char *, int *, int *, double *, int *, double *, int *, int *);
-typedef void (*gesv_t)(int *, int *, double *, int *, int *, double *, int *, int *);
-
-static gemv_t gemv;
-static potrf_t potrf;
-static potrs_t potrs;
-static gesv_t gesv;
-
-#define LEAST 1e-6  /* as in spreading.py */
 #define STILL 1e-12 /* as in friction.py */
-#define PATIENCE 10 /* as in contact_solve.py */
-/* y = A x, with A of rows x columns at a stride. */
-static void product(double *matrix, int width, int rows, int columns, double *x, double *y)
-{
-    double one = 1.0, zero = 0.0;
-    int step = 1;
-    gemv("T", &columns, &rows, &one, matrix, &width, x, &step, &zero, y, &step);
-}
-
-static double dot(const double *x, const double *y, int count)
-{
-    double sum = 0.0;
-    for (int i = 0; i < count; i++)
-        sum += x[i] * y[i];
-    return sum;
-}
-
-/* spreading.py: the first of two points about a depth, and what part of each hat is passed. */
-static int about(double passed, int count, double *one, double *two)
-{
-    int first = (int)passed;
-    first = first < 0 ? 0 : first > count - 1 ? count - 1 : first;
-    double t = fmin(passed - first, 1.0);
-    *one = t < 0 ? 0.5 * (1 + t) * (1 + t) : 1 - 0.5 * (1 - t) * (1 - t);
-    t = fmin(passed - first - 1, 1.0);
-    *two = t < 0 ? 0.5 * (1 + t) * (1 + t) : 1 - 0.5 * (1 - t) * (1 - t);
-    return first;
-}
-
-/* spreading.coverage */
-static void coverage(double depth, int count, double spacing, double *length)
-{
-    double one, two;
-    int first = about(depth / spacing, count, &one, &two);
-    for (int i = 0; i < count; i++)
-        length[i] = i < first + 2 ? spacing : 0.0;
-    length[first] = spacing * one;
-    if (first + 1 < count)
-        length[first + 1] = spacing * two;
-    length[0] = fmax((first == 0 ? one : 1.0) * spacing - spacing * 0.5, 0.0);
-}
-
-/* spreading.tip_share */
-static void tip_share(const double *length, int count, double depth, double spread,
-                      double spacing, double *share)
-{
-    int first = 0;
-    double one, two, total = 0.0;
-    memcpy(share, length, (size_t)count * sizeof(double));
-    if (depth > spread) {
-        first = about((depth - spread) / spacing, count, &one, &two);
-        memset(share, 0, (size_t)first * sizeof(double));
-        share[first] -= spacing * (first ? one : fmax(one - 0.5, 0.0));
-        if (first + 1 < count)
-            share[first + 1] -= spacing * two;
-    }
-    for (int i = first; i < count; i++)
-        total += share[i];
-    if (total <= LEAST * spacing) {
-        memset(share, 0, (size_t)count * sizeof(double));
-        share[0] = 1.0;
-        return;
-    }
-    for (int i = first; i < count; i++)
-        share[i] /= total;
-}
-
-/* Balance._softness */
-static void hold_softness(double depth, int held, double bevel, double spacing, double grip,
-                          double *softness)
-{
-    memset(softness, 0, (size_t)held * sizeof(double));
-    int last = held - 1;
-    double behind = depth - last * spacing;
-    for (; last > 0 && behind < bevel; last--, behind += spacing)
-        softness[last] = (bevel / behind - 1.0) / (grip * spacing);
-}
-
-/* LateralHold.forces: answer the gaps (m k,) in place by the factor (column-major, its upper
- * half) and what changed since.
- * `work` has room for kinds * (kinds + 1) + (kinds / m)^2 doubles, `pivots` for kinds ints. */
-static int answer(int m, int held, double *factor, int kinds, double *kind, double *answers,
-                  const double *products, double farther, double rigidity,
-                  const double *softness, const double *least, double *gaps, double *work,
-                  int *pivots)
-{
-    int size = m * held, one = 1, info = 0, each = kinds / m, varying = each - 2;
-    double *system = work, *load = system + kinds * kinds, *weights = load + kinds;
-    potrs("U", &size, &one, factor, &size, gaps, &size, &info);
-    if (info != 0)
-        return -1;
-    double turn = farther / rigidity;
-    memset(weights, 0, (size_t)(each * each) * sizeof(double));
-    weights[0] = turn;
-    weights[1] = weights[each] = turn * farther / 2.0;
-    weights[each + 1] = turn * farther * farther / 3.0;
-    for (int v = 0; v < varying; v++)
-        weights[(v + 2) * (each + 1)] = softness[held - varying + v] - least[v];
-    /* the system is made column-major */
-    memset(system, 0, (size_t)(kinds * (kinds + 1)) * sizeof(double));
-    for (int a = 0; a < m; a++)
-        for (int i = 0; i < each; i++) {
-            int row = a * each + i;
-            for (int j = 0; j < each; j++) {
-                double weight = weights[i * each + j];
-                if (weight == 0.0)
-                    continue;
-                const double *from = products + (a * each + j) * kinds;
-                for (int c = 0; c < kinds; c++)
-                    system[c * kinds + row] += weight * from[c];
-                load[row] += weight * dot(kind + (a * each + j) * size, gaps, size);
-            }
-            system[row * kinds + row] += 1.0;
-        }
-    gesv(&kinds, &one, system, &kinds, pivots, load, &kinds, &info);
-    if (info != 0)
-        return -1;
-    for (int i = 0; i < kinds; i++)
-        for (int c = 0; c < size; c++)
-            gaps[c] -= load[i] * answers[i * size + c];
-    return 0;
-}
-
-/* Copy a short vector, strided or not. */
-static int brief(PyObject *object, int count, double *into)
-{
-    Py_buffer view;
-    if (PyObject_GetBuffer(object, &view, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
-        return -1;
-    int fits = view.ndim == 1 && view.shape[0] == count && strcmp(view.format, "d") == 0;
-    for (int i = 0; fits && i < count; i++)
-        into[i] = *(double *)((char *)view.buf + i * view.strides[0]);
-    PyBuffer_Release(&view);
-    if (!fits)
-        PyErr_SetString(PyExc_ValueError, "origin: not so many numbers as the tissue has axes");
-    return fits ? 0 : -1;
-}
 
 /* Numbers of a step, in this order. */
 enum {
@@ -458,35 +311,8 @@ enum { /* what `bounded` is given besides */
     IN_BLOCKS = COMMON, OUT_STATUS, BOUNDED_ARGUMENTS
 };
 
-/* The contact problem: min 1/2 x'Ax - b'x with low <= x <= high. */
-typedef struct {
-    double *matrix, *right, *low, *high, *x, *gradient, *block, *target, *change, *pulled;
-    int *free;
-    int size;
-} Contact;
-
-static size_t contact_room(int size)
-{
-    return (size_t)size * ((size_t)(2 * size + 8) * sizeof(double) + sizeof(int));
-}
-
-static void lay_out(Contact *c, int size, double *work)
-{
-    c->size = size;
-    c->matrix = work;
-    c->block = c->matrix + (size_t)size * size;
-    c->right = c->block + (size_t)size * size;
-    c->low = c->right + size;
-    c->high = c->low + size;
-    c->x = c->high + size;
-    c->gradient = c->x + size;
-    c->target = c->gradient + size;
-    c->change = c->target + size;
-    c->pulled = c->change + size;
-    c->free = (int *)(c->pulled + size);
-}
-
-/* Set up the matrix and the bounds of a step; the blocks are those of ResponseTable.along, axis by axis. */
+/* Set up the matrix and the bounds of a step; the blocks are those of ResponseTable.along, axis
+ * by axis. */
 static int assemble(const Problem *p, double reach, PyObject *blocks, Buffers *all, Contact *c)
 {
     int m = p->m, k = p->held, n = p->n, wide = m * k, size = c->size;
@@ -538,105 +364,6 @@ static int assemble(const Problem *p, double reach, PyObject *blocks, Buffers *a
     c->right[size - 1] = reach;
     c->low[size - 1] = 0.0;
     c->high[size - 1] = p->numbers[LIMIT];
-    return 0;
-}
-
-/* Set `target` to the minimum over the free unknowns, the others held where they are. */
-static int newton(Contact *c, int count)
-{
-    int size = c->size, one = 1, info = 0;
-    memcpy(c->target, c->x, (size_t)size * sizeof(double));
-    for (int i = 0; i < count; i++)
-        c->target[c->free[i]] = 0.0;
-    if (count == 0)
-        return 0;
-    if (count < size)
-        product(c->matrix, size, size, size, c->target, c->pulled);
-    for (int i = 0; i < count; i++) {
-        const double *row = c->matrix + (size_t)c->free[i] * size;
-        double *to = c->block + (size_t)i * count;
-        for (int j = 0; j <= i; j++)
-            to[j] = row[c->free[j]];
-        c->change[i] = c->right[c->free[i]] - (count < size ? c->pulled[c->free[i]] : 0.0);
-    }
-    /* row-major lower is column-major upper */
-    potrf("U", &count, c->block, &count, &info);
-    if (info != 0)
-        return -1;
-    potrs("U", &count, &one, c->block, &count, c->change, &count, &info);
-    for (int i = 0; i < count; i++)
-        c->target[c->free[i]] = c->change[i];
-    return 0;
-}
-
-static double clipped(double value, double low, double high)
-{
-    return fmin(fmax(value, low), high);
-}
-
-/* contact_solve._armijo: shorten the projected step until the objective falls. */
-static void armijo(Contact *c, int count)
-{
-    int size = c->size;
-    double slope = 0.0, step = 1.0, *trial = c->block, *moved = c->change, *pulled = c->pulled;
-    for (int i = 0; i < count; i++)
-        slope += c->gradient[c->free[i]] * (c->target[c->free[i]] - c->x[c->free[i]]);
-    for (;;) {
-        for (int i = 0; i < size; i++) {
-            trial[i] = clipped(c->x[i] + step * (c->target[i] - c->x[i]), c->low[i], c->high[i]);
-            moved[i] = trial[i] - c->x[i];
-        }
-        product(c->matrix, size, size, size, moved, pulled);
-        double fall = dot(c->gradient, moved, size) + 0.5 * dot(moved, pulled, size);
-        if (fall <= 1e-4 * step * slope || step < 1e-10)
-            break;
-        step *= 0.5;
-    }
-    for (int i = 0; i < size; i++) {
-        c->x[i] = trial[i];
-        c->gradient[i] += pulled[i];
-    }
-}
-
-/* contact_solve.solve_contact; returns how often it solved, 0 where it does not get there. */
-static int solve_contact(Contact *c, const signed char *guess, int sure, double tolerance,
-                         signed char *status)
-{
-    int size = c->size, count = 0;
-    double scale = 1e-300;
-    for (int i = 0; i < size; i++) {
-        int at = i < sure ? 0 : guess[i - sure];
-        scale = fmax(scale, fabs(c->right[i]));
-        c->x[i] = at < 0 ? c->low[i] : at > 0 ? c->high[i] : 0.0;
-        if (at == 0)
-            c->free[count++] = i;
-    }
-    double allowed = tolerance * scale;
-    if (newton(c, count) < 0)
-        return 0;
-    for (int i = 0; i < size; i++)
-        c->x[i] = clipped(c->target[i], c->low[i], c->high[i]);
-    product(c->matrix, size, size, size, c->x, c->gradient);
-    for (int i = 0; i < size; i++)
-        c->gradient[i] -= c->right[i];
-    for (int iteration = 1; iteration <= PATIENCE; iteration++) {
-        double worst = 0.0;
-        count = 0;
-        for (int i = 0; i < size; i++) {
-            int low = c->x[i] <= c->low[i], high = c->x[i] >= c->high[i];
-            int pressed = (low && c->gradient[i] > 0) || (high && c->gradient[i] < 0);
-            status[i] = !pressed ? 0 : low ? -1 : 1;
-            if (!pressed) {
-                c->free[count++] = i;
-                worst = fmax(worst, fabs(c->gradient[i]));
-            }
-        }
-        if (worst <= allowed)
-            return iteration;
-        if (newton(c, count) < 0)
-            return 0;
-        armijo(c, count);
-    }
     return 0;
 }
 
@@ -706,19 +433,6 @@ end:
     return answered;
 }
 
-static void *function(const char *module, const char *name)
-{
-    void *pointer = NULL;
-    PyObject *from = PyImport_ImportModule(module), *table = NULL, *capsule = NULL;
-    if (from != NULL && (table = PyObject_GetAttrString(from, "__pyx_capi__")) != NULL &&
-        (capsule = PyMapping_GetItemString(table, name)) != NULL)
-        pointer = PyCapsule_GetPointer(capsule, PyCapsule_GetName(capsule));
-    Py_XDECREF(capsule);
-    Py_XDECREF(table);
-    Py_XDECREF(from);
-    return pointer;
-}
-
 static PyMethodDef methods[] = {
     {"slide", (PyCFunction)(void (*)(void))slide, METH_FASTCALL,
      "Set up a step, and solve it with every force at the bound where it was, if that holds."},
@@ -733,11 +447,7 @@ static struct PyModuleDef definition = {
 
 PyMODINIT_FUNC PyInit__balance(void)
 {
-    gemv = (gemv_t)function("scipy.linalg.cython_blas", "dgemv");
-    potrf = (potrf_t)function("scipy.linalg.cython_lapack", "dpotrf");
-    potrs = (potrs_t)function("scipy.linalg.cython_lapack", "dpotrs");
-    gesv = (gesv_t)function("scipy.linalg.cython_lapack", "dgesv");
-    if (gemv == NULL || potrf == NULL || potrs == NULL || gesv == NULL)
+    if (find_functions() < 0)
         return NULL;
     return PyModule_Create(&definition);
 }

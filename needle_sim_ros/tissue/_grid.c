@@ -52,7 +52,10 @@ static void polynomials(int quadratic, double at, double *values)
     }
 }
 
-enum { IN_POINTS, IN_LATERAL, IN_LEVELS, IN_ORDER, IN_CELLS, OUT_NODES, OUT_VALUES, OUT_INSIDE, ARGUMENTS };
+enum {
+    IN_POINTS, IN_LATERAL, IN_LEVELS, IN_ORDER, IN_CELLS, OUT_NODES, OUT_VALUES, OUT_INSIDE,
+    ARGUMENTS
+};
 
 typedef struct {
     Lines lines[3];
