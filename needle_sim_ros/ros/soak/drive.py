@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +28,21 @@ Figures = dict[str, float | None]
 _IDLE = 10.0  # s of the machine alone
 
 
+@contextmanager
+def _unwinding() -> Iterator[None]:
+    """End as Ctrl-C does when told to by a signal: no node or peer stays behind."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {each: signal.signal(each, interrupt) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
 def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figures:
     """Soak the node.
 
@@ -38,7 +56,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         Told of the share of the work done since the last call.
     """
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    with tempfile.TemporaryDirectory(prefix="needle_sim_soak_") as folder:
+    with _unwinding(), tempfile.TemporaryDirectory(prefix="needle_sim_soak_") as folder:
         place = Path(folder)
         os.environ.setdefault("ROS_LOG_DIR", str(place / "log"))
         (place / "scene.yaml").write_text(scene.to_yaml(), encoding="utf-8")
