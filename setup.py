@@ -70,7 +70,13 @@ setup(
             "mcap==1.6.0",
             "mcap-ros2-support==0.6.0",
         ],
-        "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "rosbags==0.11.9"],
+        "test": [
+            "pytest>=7.4",
+            "pytest-timeout>=2.2",
+            "pytest-xdist>=3.5",
+            "hypothesis>=6.98",
+            "rosbags==0.11.9",
+        ],
         "lint": [
             "ruff==0.17.6",
             "mypy==2.4.1",

@@ -2,8 +2,13 @@
 """Scenes and simulators that several tests share; coarse, so that they are quick."""
 
 import pytest
+from hypothesis import settings
 
 from needle_sim_ros import BaseCommand, Scene, Simulator
+
+# How long an example takes says more about the machine than about the program.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 # 3440 unknowns: enough for every law, not for the accuracy the benchmarks ask for.
 # What is fitted in the scene is pinned here: the tests' numbers follow from these.

@@ -2,7 +2,7 @@
 """Rotations against scipy's, which the hot path is too often in to call."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +12,6 @@ from needle_sim_ros.interaction.pose import BasePose
 vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
 
 
-@settings(deadline=None)
 @given(vectors, vectors)
 def test_rotations_are_those_of_scipy(a, b):
     p, q = geometry.from_rotation_vector(a), geometry.from_rotation_vector(b)
@@ -25,7 +24,6 @@ def test_rotations_are_those_of_scipy(a, b):
     )
 
 
-@settings(deadline=None)
 @given(vectors)
 def test_rotation_vectors_come_back_the_short_way(v):
     angle = np.linalg.norm(v)
@@ -36,7 +34,6 @@ def test_rotation_vectors_come_back_the_short_way(v):
         assert np.linalg.norm(back) <= np.pi + 1e-9
 
 
-@settings(deadline=None)
 @given(vectors, st.floats(1e-3, 2.0))
 def test_turning_is_a_rotation_about_the_world_axis(rate, duration):
     start = geometry.from_rotation_vector([0.3, -0.2, 0.9])
@@ -45,7 +42,6 @@ def test_turning_is_a_rotation_about_the_world_axis(rate, duration):
     np.testing.assert_allclose(geometry.rotation_matrix(turned), theirs.as_matrix(), atol=1e-12)
 
 
-@settings(deadline=None)
 @given(st.floats(-1.2, 1.2), st.tuples(st.floats(-0.1, 0.1), st.floats(0.05, 0.2)))
 def test_base_axes_are_eq_12(angle, place):
     """Vertical needle turned by theta about y: axes as the columns of R_e, Eq. (12), up to

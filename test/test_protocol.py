@@ -44,7 +44,7 @@ def test_paper_protocol_reaches_sixty_millimetres_and_returns() -> None:
     assert path[-1] == pytest.approx(0.0, abs=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(
         st.tuples(st.floats(1e-4, 0.2), st.floats(-4e-3, 4e-3)),

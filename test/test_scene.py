@@ -142,7 +142,7 @@ def test_every_key_says_its_unit_or_choices():
     assert keys(Scene)["tissue.youngs_modulus"] == "a finite number > 0, in Pa"
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     modulus=st.floats(1e2, 1e7),
     ratio=st.floats(0, 0.4999),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.sparse.linalg import eigsh
 
@@ -105,7 +105,6 @@ class TestMesh:
         st.lists(st.floats(-0.059, 0.059), min_size=2, max_size=2),
         st.lists(st.floats(-0.079, -0.001), min_size=2, max_size=2),
     )
-    @settings(deadline=None)
     def test_crossings_lie_on_their_edges_and_miss_none(self, x, z):
         mesh = UniformMesh(0.120, 0.080, 200)
         start, end = np.array([x[0], z[0]]), np.array([x[1], z[1]])

@@ -85,9 +85,12 @@ def test_realtime_lets_the_nodes_clock_run(coarse, tmp_path):
     _, err = process.communicate(timeout=120)
     assert (process.returncode, err) == (0, "")
     session = read_session(json.loads((tmp_path / "demo.json").read_text())["bag"])
+    moved = [motion.linear == (0.0, 0.0, -0.03) for _, motion in session.motions]
     depth = -session.series.tip_position[-1, 2]
-    assert depth == pytest.approx(0.035, abs=2e-3)  # some ticks more or less than 1.5 s
-    assert session.series.time[-1] == pytest.approx(2.0, abs=0.5)
+    assert depth == pytest.approx(0.03 * 0.02 * sum(moved) - 0.01, abs=1e-9)
+    # 75 ticks by the clock; on a busy machine some are missed, and never made up for
+    assert 40 <= sum(moved) <= 90
+    assert len(moved) <= 130
     assert len(session.inputs) > 30
     assert _nodes(tmp_path) == []
 

@@ -46,7 +46,7 @@ problems = st.builds(random_problem, st.integers(0, 10**6), st.integers(1, 40))
 
 
 @given(problem=problems, seed=st.integers(0, 10**6))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_optimality_from_any_start(problem, seed):
     matrix, right, low, high = problem
     start = np.random.default_rng(seed).integers(-1, 2, len(right)).astype(np.int8)
@@ -60,7 +60,7 @@ def test_optimality_from_any_start(problem, seed):
 
 
 @given(problem=problems)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_against_bounded_least_squares(problem):
     """min |R x - R^-T b|^2 with A = R^T R has the same minimiser (scipy's lsq_linear)."""
     matrix, right, low, high = problem
@@ -76,7 +76,7 @@ def test_against_bounded_least_squares(problem):
 
 
 @given(problem=st.builds(random_problem, st.integers(0, 10**6), st.integers(1, 15), st.just(1.5)))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_against_a_quasi_newton_method(problem):
     """scipy's L-BFGS-B on the objective itself."""
     matrix, right, low, high = problem
@@ -182,7 +182,7 @@ hard = st.builds(
 
 
 @given(problem=hard)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_fallback_solves_the_same_problem(problem):
     """What takes over when Newton's steps stall, asked directly; ill-conditioned ones too."""
     matrix, right, low, high = problem
@@ -192,7 +192,7 @@ def test_the_fallback_solves_the_same_problem(problem):
 
 
 @given(problem=hard)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_ill_conditioned_problems(problem):
     """The gradient falls to what rounding leaves of it, at condition numbers up to 1e9."""
     matrix, right, low, high = problem

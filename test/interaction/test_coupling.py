@@ -36,7 +36,7 @@ def mean(model, footprint, field):
 
 
 @given(x=st.floats(-0.05, 0.05), depth=st.floats(0.0, 0.07), angle=angles)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_weights_add_up_to_one(model, coupling, x, depth, angle):
     """A rigid displacement of the tissue is sampled exactly, at the surface too."""
     point, step = np.array([x, -depth]), SPACING * heading(angle)
@@ -49,7 +49,7 @@ def test_weights_add_up_to_one(model, coupling, x, depth, angle):
 
 
 @given(x=st.floats(-0.05, 0.05), depth=st.floats(0.01, 0.07), angle=angles)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_center(model, coupling, x, depth, angle):
     """A linear field is sampled at the centre of gravity: of a hat the point itself, of a
     cross-section its middle."""
@@ -111,14 +111,14 @@ depths = st.floats(0.0, 0.05)
 
 
 @given(depth=depths)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_coverage_adds_up_to_the_depth(depth):
     count = math.ceil(depth / SPACING) + 2
     assert coverage(depth, count, SPACING).sum() == pytest.approx(depth, abs=1e-15)
 
 
 @given(depth=depths)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_coverage_is_the_integral_of_the_hats(depth):
     """Against a quadrature of hat k from the entry to the depth."""
     count = 26

@@ -43,7 +43,7 @@ def test_slope_at_the_tip():
 
 
 @given(places=ARCLENGTHS, loads=ARCLENGTHS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_slope_is_the_derivative_of_the_deflection(places, loads):
     """Central difference of the deflection, exact for quadratics; step far from rounding."""
     step = 1e-6
@@ -63,7 +63,7 @@ def test_clamp_neither_moves_nor_turns():
 
 
 @given(places=ARCLENGTHS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_maxwell_betti(places):
     """The deflection at i under a force at j is the one at j under a force at i."""
     matrix = flexibility(places, places, RIGIDITY)
@@ -71,7 +71,7 @@ def test_maxwell_betti(places):
 
 
 @given(places=st.lists(st.integers(1, 400), min_size=1, max_size=30, unique=True))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_any_loads_do_positive_work(places):
     matrix = flexibility(np.array(places) * 5e-4, np.array(places) * 5e-4, 1.0)
     scaled = matrix / np.sqrt(np.outer(matrix.diagonal(), matrix.diagonal()))

@@ -92,7 +92,7 @@ def test_hostile_messages_over_topics_change_nothing(cell):
     cell.send(publishers["stage_velocity"], message)
     before, rng = state(sim), random.Random(7)
 
-    @settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=80, suppress_health_check=list(HealthCheck))
     @given(st.randoms(use_true_random=False))
     def provoke(chance):
         for source in (chance, rng):
@@ -108,7 +108,7 @@ def test_hostile_messages_over_topics_change_nothing(cell):
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.text(max_size=12), st.tuples(*[finite] * 7), st.integers(0, 9), st.binary(max_size=12))
 def test_the_fast_reader_agrees_with_the_real_one_or_says_nothing(frame, numbers, cut, more):
     message = PoseStamped()

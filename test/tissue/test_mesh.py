@@ -125,7 +125,7 @@ def test_spacing_at_the_path(coarse_scene):
     growth=st.floats(1.01, 4),
     largest=st.floats(0.01, 1),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_graded_lines(band, spacing, growth, largest):
     """From end to end, rising; neighbours differ by the growth, twice it where steps are fitted."""
     center, half = band
