@@ -17,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import NodalCompliance
-from needle_sim_ros.tissue.dynamics import expand
+from needle_sim_ros.tissue.dynamics import expand, flushed
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import NewmarkRule
@@ -158,8 +158,9 @@ class ReducedNewmark:
         np.multiply(self._dynamic, table.modal() @ forces.ravel(), out=whole[3])
         whole[3] += prediction.u
         modal = prediction.rule.rates @ whole
-        filtered = self._share * forces + _widened(prediction.filtered, table.count)
-        return ModalMotion(modal, filtered, forces)
+        filtered = self._share * forces
+        filtered += _widened(prediction.filtered, table.count)
+        return ModalMotion(flushed(modal), flushed(filtered), forces)
 
     def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
         filtered = _widened(state.filtered, table.count)
