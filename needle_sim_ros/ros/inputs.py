@@ -44,6 +44,7 @@ class Inputs:
                 (channels.STAGE_VELOCITY.name, TwistStamped, self._take_velocity),
             ],
             _BEST_EFFORT,
+            plant.give_way,
         )
 
     def publishers(self) -> dict[str, int]:

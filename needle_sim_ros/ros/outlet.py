@@ -50,11 +50,19 @@ class Outlet:
         For the sessions.
     sinks : mapping of Channel to Sink
         Where messages are published; a topic without a sink is only recorded.
+    give_way : callable
+        As the session's.
     """
 
-    def __init__(self, naming: Naming, sinks: Mapping[Channel, Sink]) -> None:
+    def __init__(
+        self,
+        naming: Naming,
+        sinks: Mapping[Channel, Sink],
+        give_way: Callable[[], object] = lambda: None,
+    ) -> None:
         self._naming = naming
         self._sinks = sinks
+        self._give_way = give_way
         self._session: SessionWriter | None = None
         self._writing = threading.Lock()  # a command is written whole, or the session is over
         self._ended = RecorderStatus()
@@ -127,6 +135,7 @@ class Outlet:
                     settings=naming.settings(),
                     split=split,
                     begin=False,
+                    give_way=self._give_way,
                 )
             except FolderTakenError:  # another node took the name just now
                 if attempt + 1 == _NAMES:

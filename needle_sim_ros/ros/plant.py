@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _EVENTS: Encoders = (
     (channels.EVENTS, lambda stamp, event: channels.event_message(event[0], **event[1])),
 )
+_PATIENCE = 5e-3  # s that others wait for a tick: commands must not pile up behind slow ones
 _TICK_TIME: Encoders = ((channels.TICK_TIME, lambda stamp, took: cdr.float64(took)),)
 
 
@@ -80,7 +81,7 @@ class Plant:
         motions = channels.motion_encoders(naming.tissue_frame)
         self._encoders = tuple(encoders.items())
         self._motion_encoders = {kind: (encoder,) for kind, encoder in motions.items()}
-        self._outlet = Outlet(naming, sinks)
+        self._outlet = Outlet(naming, sinks, self.give_way)
         self._warn = warn
         self._lock = threading.Lock()
         self._setting = threading.Lock()  # for what keeps a scene through more than one tick
@@ -146,6 +147,15 @@ class Plant:
         """Advance by one period."""
         with self._lock:
             self._tick()
+
+    def give_way(self) -> None:
+        """Wait until a tick under way is over, but not long: for whoever works beside the ticks.
+
+        A tick lets go of the interpreter lock now and then, in the linear algebra. Who takes
+        it keeps the tick waiting for longer than the tick itself takes.
+        """
+        if self._lock.acquire(timeout=_PATIENCE):
+            self._lock.release()
 
     def reset(self) -> None:
         """Go back to the scene's start; the command in force is forgotten."""

@@ -44,6 +44,8 @@ class Receiver:
         Topic, message type, and taker of the serialised messages; a topic may be there twice.
     qos : QoSProfile
         Of all of them.
+    give_way : callable
+        Called before each message is taken; may wait a little for something more urgent.
     """
 
     def __init__(
@@ -51,8 +53,10 @@ class Receiver:
         node: Node,
         topics: Iterable[tuple[str, Any, Callable[[bytes], None]]],
         qos: QoSProfile,
+        give_way: Callable[[], object] = lambda: None,
     ) -> None:
         self._node = node
+        self._give_way = give_way
         group = _OwnThread()
         self._subscriptions = [
             node.create_subscription(kind, name, take, qos, callback_group=group, raw=True)
@@ -98,6 +102,7 @@ class Receiver:
 
     def _take(self, subscription: Any) -> None:
         while not self._stopping:
+            self._give_way()
             taken = subscription.handle.take_message(subscription.msg_type, True)
             if taken is None:
                 return

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from needle_sim_ros.session.bag import Bag
 from needle_sim_ros.session.mcap_file import Entry
@@ -16,6 +17,7 @@ _CHUNK = 1 << 20
 _INTERVAL = 0.2
 _NOTHING: Counter[int] = Counter()
 _OVERHEAD = 120  # of a queued message beside its bytes
+_FEW = 32  # messages that are gone through between two looks at what is more urgent
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,9 @@ class Recorder:
         Wall time between chunks, s.
     before : callable
         Writes to the bag what comes before all messages, in the thread.
+    give_way : callable
+        Called by the thread every few messages; may wait, so that something more urgent has
+        the interpreter to itself.
     """
 
     def __init__(
@@ -67,6 +72,7 @@ class Recorder:
         capacity: int = _CAPACITY,
         interval: float = _INTERVAL,
         before: Callable[[], object] = lambda: None,
+        give_way: Callable[[], object] = lambda: None,
     ) -> None:
         self._bag = bag
         self._capacity = capacity
@@ -84,6 +90,7 @@ class Recorder:
         self._closing = False
         self._wake = threading.Event()
         self._before = before
+        self._give_way = give_way
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -172,6 +179,7 @@ class Recorder:
         """Return entries with sequence numbers, which leave out what was lost."""
         entries, numbers = [], self._sequence
         for time, messages, missing in batch:
+            self._give_way()
             for channel, count in missing.items():
                 numbers[channel] = (numbers.get(channel, 0) + count) & 0xFFFFFFFF
             for channel, data in messages:
@@ -182,7 +190,7 @@ class Recorder:
 
     def _write(self, part: Sequence[Entry]) -> None:
         try:
-            self._bag.write(part)
+            self._bag.write(_Unhurried(part, self._give_way))
         except Exception as error:  # whatever it is, it is counted and the simulation goes on
             self._note(0, len(part), _reason(error))
         else:
@@ -204,6 +212,24 @@ class Recorder:
             self._lost += lost
             self._size = self._bag.size
             self._error = error or self._error
+
+
+class _Unhurried(Sequence[Entry]):
+    """Entries; who goes through them gives way every few."""
+
+    def __init__(self, entries: Sequence[Entry], give_way: Callable[[], object]) -> None:
+        self._entries, self._give_way = entries, give_way
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __getitem__(self, key: Any) -> Any:
+        return self._entries[key]
+
+    def __iter__(self) -> Iterator[Entry]:
+        for start in range(0, len(self._entries), _FEW):
+            self._give_way()
+            yield from self._entries[start : start + _FEW]
 
 
 def _reason(error: Exception) -> str:

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, timezone
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,6 +59,8 @@ class SessionWriter:
     begin : bool
         Whether the simulation is at its start, so that messages may follow at once;
         otherwise :meth:`begin` comes first.
+    give_way : callable
+        As the recorder's.
 
     Raises
     ------
@@ -79,8 +82,10 @@ class SessionWriter:
         settings: Mapping[str, str] | None = None,
         split: Split = NO_SPLIT,
         begin: bool = True,
+        give_way: Callable[[], object] = lambda: None,
     ) -> None:
         self.folder = folder
+        self._give_way = give_way
         self._encoders = channels.output_encoders(tissue_frame, base_frame)
         self._motion_encoders = channels.motion_encoders(tissue_frame)
         everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
@@ -118,7 +123,8 @@ class SessionWriter:
         history : History
             What was applied before; not changed any more.
         """
-        self._recorder = Recorder(self._bag, before=lambda: self._write_before(history))
+        before = partial(self._write_before, history)
+        self._recorder = Recorder(self._bag, before=before, give_way=self._give_way)
 
     def _write_before(self, history: History) -> None:
         kind, bag = "application/json", self._bag

@@ -18,7 +18,6 @@ from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
-
 # m, N and their rates: far below what counts, far above where numbers lose digits
 _NEGLIGIBLE = 1e-200
 
