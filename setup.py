@@ -44,6 +44,7 @@ setup(
     ext_modules=[
         compiled("interaction/_balance"),
         compiled("tissue/_grid"),
+        compiled("tissue/_products"),
     ],
     install_requires=[
         "numpy>=1.26",

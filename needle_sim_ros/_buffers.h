@@ -14,14 +14,14 @@ typedef struct {
     int count;
 } Buffers;
 
-static void release(Buffers *all)
+static inline void release(Buffers *all)
 {
     while (all->count > 0)
         PyBuffer_Release(&all->held[--all->count]);
 }
 
 /* Return a contiguous array of at least so many items of a kind; NULL with an exception if not. */
-static void *array(Buffers *all, PyObject *object, const char *kind, Py_ssize_t items,
+static inline void *array(Buffers *all, PyObject *object, const char *kind, Py_ssize_t items,
                    int writable, const char *name)
 {
     Py_buffer *view = &all->held[all->count];

@@ -2,7 +2,7 @@
 /* The contact problem by projected Newton, as in contact_solve.py. */
 #ifndef NEEDLE_SIM_CONTACT_SOLVE_H
 #define NEEDLE_SIM_CONTACT_SOLVE_H
-#include "_linear_algebra.h"
+#include "../_linear_algebra.h"
 #include <math.h>
 
 #define PATIENCE 10 /* as in contact_solve.py */

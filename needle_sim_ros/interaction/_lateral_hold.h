@@ -2,7 +2,7 @@
 /* Lateral forces by a factor of before, as in lateral_hold.py. */
 #ifndef NEEDLE_SIM_LATERAL_HOLD_H
 #define NEEDLE_SIM_LATERAL_HOLD_H
-#include "_linear_algebra.h"
+#include "../_linear_algebra.h"
 
 /* LateralHold.forces: answer the gaps (m k,) in place by the factor (column-major, its upper
  * half) and what changed since.

@@ -16,6 +16,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import NodalCompliance
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.products import product
 from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 # m, N and their rates: far below what counts, far above where numbers lose digits
@@ -139,7 +140,7 @@ class QuasiStatic:
 
     def at_readers(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers from the kept responses."""
-        return np.asarray(table.at_readers() @ forces.ravel())
+        return product(table.at_readers(), forces.ravel())
 
     def everywhere(self, state: None, table: ResponseTable, forces: Vector) -> Vector:
         """One solve of Eq. (5)."""

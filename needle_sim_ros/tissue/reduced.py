@@ -21,6 +21,7 @@ from needle_sim_ros.tissue.dynamics import expand, flushed
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import NewmarkRule
+from needle_sim_ros.tissue.products import product
 from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 
@@ -56,8 +57,8 @@ class ModalPrediction(NamedTuple):
     def rows(self, table: ResponseTable) -> Vector:
         """Return the displacement of the rows of a table, shape (n, d)."""
         filtered = _widened(self.filtered, table.count)
-        moved = table.residual() @ filtered.ravel()
-        moved += self.u @ table.modal()
+        moved = product(table.residual(), filtered.ravel())
+        moved += product(table.modal().T, self.u)
         return np.asarray(moved.reshape(filtered.shape))
 
 
@@ -155,9 +156,9 @@ class ReducedNewmark:
         """Load the modes and the filter with the contact forces (Eqs. 2 and 3)."""
         whole = np.empty((4, len(prediction.u)))
         whole[:3] = state.modal
-        np.multiply(self._dynamic, table.modal() @ forces.ravel(), out=whole[3])
+        np.multiply(self._dynamic, product(table.modal(), forces.ravel()), out=whole[3])
         whole[3] += prediction.u
-        modal = prediction.rule.rates @ whole
+        modal = np.stack([product(whole.T, rate) for rate in prediction.rule.rates])
         filtered = self._share * forces
         filtered += _widened(prediction.filtered, table.count)
         return ModalMotion(flushed(modal), flushed(filtered), forces)
@@ -185,9 +186,9 @@ class ReducedNewmark:
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""
         filtered = _widened(state.filtered, table.count)
-        moved = self._read_shapes @ state.modal[0]
-        moved += table.at_readers() @ filtered.ravel()
-        return np.asarray(moved)
+        moved = product(self._read_shapes, state.modal[0])
+        moved += product(table.at_readers(), filtered.ravel())
+        return moved
 
     def everywhere(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of all nodes; one solve."""

@@ -15,6 +15,7 @@ import numpy as np
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.mesh import Index
+from needle_sim_ros.tissue.products import product
 
 # components of a unit vector that are not zero, by number
 Axis = list[tuple[int, float]]
@@ -171,7 +172,7 @@ class ResponseTable:
         """Return the displacement of all rows, (n, d), by forces (k, d) on the first k."""
         wide = self.compliance.dimension * self.count
         block = self._store.between[:wide, : forces.size]
-        return np.asarray(block @ forces.ravel()).reshape(self.count, -1)
+        return product(block, forces.ravel()).reshape(self.count, -1)
 
     def along(self, axes: Axes, one: int, other: int) -> Vector:
         """Displacement of the rows along an axis per force along another, (n, n), m/N.
@@ -208,13 +209,13 @@ class ResponseTable:
         if self._store.near is None:
             return np.zeros_like(forces)
         size = forces.size
-        return np.asarray(self._store.near[:size, :size] @ forces.ravel()).reshape(forces.shape)
+        return product(self._store.near[:size, :size], forces.ravel()).reshape(forces.shape)
 
     def read_beyond_mesh(self, forces: Vector) -> Vector:
         """Return the same of the displacement at the readers, (r,)."""
         if self._store.near_read is None:
             return np.zeros(len(self._store.read))
-        return np.asarray(self._store.near_read[:, : forces.size] @ forces.ravel())
+        return product(self._store.near_read[:, : forces.size], forces.ravel())
 
     def at_readers(self) -> Vector:
         """Static displacement of the readers per force on the rows, (r, n d), m/N.

@@ -66,3 +66,28 @@ def test_a_history_that_goes_on_leaves_its_copy_alone():
     assert copy.ticks == 5
     assert copy.changes == [(5, {"friction.kinetic": 3.0})]
     assert len(motions_from_json(history.to_json())) == 6
+
+
+def test_who_works_beside_the_ticks_waits_for_one_under_way_but_not_for_long(plant, monkeypatch):
+    """Commands must not pile up behind a tick that takes long."""
+    begun, over = threading.Event(), threading.Event()
+
+    def long(seen, motion):
+        begun.set()
+        over.wait(PATIENCE)
+
+    plant.watch = long
+    ticking = threading.Thread(target=plant.tick, daemon=True)
+    ticking.start()
+    assert begun.wait(PATIENCE)
+    plant.give_way()  # gives up waiting
+    assert ticking.is_alive()
+    monkeypatch.setattr("needle_sim_ros.ros.plant._PATIENCE", PATIENCE)
+    waiting = threading.Thread(target=plant.give_way, daemon=True)
+    waiting.start()
+    assert waiting.is_alive()
+    over.set()
+    waiting.join(PATIENCE / 2)
+    ticking.join(PATIENCE)
+    assert not (waiting.is_alive() or ticking.is_alive())
+    plant.give_way()

@@ -84,6 +84,27 @@ def test_a_queue_that_is_full_loses_and_counts_but_never_waits(tmp_path):
     assert [sequence for sequence, *_ in messages(tmp_path / "one")] == list(range(10))
 
 
+def test_it_gives_way_every_few_messages(tmp_path):
+    """Whoever it gives way to has to see that nothing more is written until it goes on."""
+    bag = Bag(tmp_path / "one")
+    channel = bag.add_topic(TOPIC)
+    gate, asked = threading.Event(), threading.Event()
+
+    def give_way():
+        asked.set()
+        gate.wait(DEADLINE)
+
+    recorder = Recorder(bag, interval=0.01, give_way=give_way)
+    for k in range(200):
+        recorder.write(1000 + k, [(channel, cdr.float64(k))])
+    assert asked.wait(DEADLINE)
+    assert recorder.status.written == 0
+    gate.set()
+    status = recorder.close()
+    assert (status.written, status.lost) == (200, 0)
+    assert [sequence for sequence, *_ in messages(tmp_path / "one")] == list(range(200))
+
+
 def test_many_that_begin_at_the_same_moment_get_folders_of_their_own(tmp_path):
     now = datetime(2026, 1, 1, tzinfo=timezone.utc)
     taken, start = [], threading.Barrier(8)

@@ -2,7 +2,7 @@
 /* scipy's BLAS and LAPACK, found through scipy.linalg.cython_blas and cython_lapack. */
 #ifndef NEEDLE_SIM_LINEAR_ALGEBRA_H
 #define NEEDLE_SIM_LINEAR_ALGEBRA_H
-#include "../_buffers.h"
+#include "_buffers.h"
 
 typedef void (*gemv_t)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
                        double *, int *);
@@ -44,14 +44,14 @@ static int find_functions(void)
 }
 
 /* y = A x, with A of rows x columns at a stride. */
-static void product(double *matrix, int width, int rows, int columns, double *x, double *y)
+static inline void product(double *matrix, int width, int rows, int columns, double *x, double *y)
 {
     double one = 1.0, zero = 0.0;
     int step = 1;
     gemv("T", &columns, &rows, &one, matrix, &width, x, &step, &zero, y, &step);
 }
 
-static double dot(const double *x, const double *y, int count)
+static inline double dot(const double *x, const double *y, int count)
 {
     double sum = 0.0;
     for (int i = 0; i < count; i++)
