@@ -33,8 +33,8 @@ demo: env
 	$(BIN)/needle_sim demo
 
 # Tests that go by a clock, or start processes, run with no other beside them.
-ALONE = test/ros test/commands test/examples test/benchmark test/identify/test_online.py \
-    test/session/test_recorder.py test/test_cli.py test/test_parallel.py
+ALONE = test/ros test/commands test/examples test/benchmark/test_speed.py test/benchmark/test_soak.py \
+    test/identify/test_online.py test/session/test_recorder.py test/test_cli.py test/test_parallel.py
 test: env
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(ALONE:%=--ignore=%)
 	$(BIN)/python -m pytest $(ALONE)

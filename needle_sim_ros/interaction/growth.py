@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # how far the tip may be beyond the last point of a track that cannot go on, in track spacings
 _BEYOND = 0.5
 # parts of a segment that the tip has passed at each stage; the point is laid at the last
-_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.68, 0.74, 0.98
+_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.66, 0.71, 0.94
 # ... and from there to each further step of it: a footprint that is added up, a component
 # that is read where it is foreseen, or weighed
 _EACH = 0.06
