@@ -22,8 +22,9 @@ from needle_sim_ros.tissue.newmark import FullNewmark
 from needle_sim_ros.tissue.reduced import ReducedNewmark
 
 _TINY = 1e-300
-# gaps below a nanometre count as this much, or a straight path would be judged by rounding
-_LEAST_GAP = 1e-9
+# m; gaps below count as this much, or a straight path would be judged by rounding: coordinates
+# of 0.1 m are known to 1.4e-17, and a hundred-millionth of a gap has to be several times that
+_LEAST_GAP = 1e-8
 
 
 @dataclass(frozen=True)
