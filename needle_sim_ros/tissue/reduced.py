@@ -37,7 +37,7 @@ class _Coefficients(NamedTuple):
     """A rule, linear in the state, as numbers.
 
     Modal displacement is ``carry`` of the old (u, v, a) plus the response to forces; the
-    new state is ``rates`` of the old one and the new displacement; the filter takes
+    velocity and acceleration are ``rates`` of the old state and it; the filter takes
     ``filtered`` of itself and ``forces`` of the last forces.
     """
 
@@ -127,9 +127,8 @@ class ReducedNewmark:
         history = [rule.history(*unit) for unit in units]
         carry = [self._dynamic * (float(m[0]) + self._damping * float(c[0])) for m, c in history]
         kept = [rule.rates(zero, *unit) for unit in units]
-        of_old = np.array([[0.0] * 3, *np.array(kept)[:, :, 0].T])
-        made = rule.rates(one, zero, zero, zero)
-        of_new = np.array([[1.0], made[0], made[1]])
+        of_old = np.array(kept)[:, :, 0].T
+        of_new = np.array(rule.rates(one, zero, zero, zero))
         return _Coefficients(np.array(carry), np.hstack([of_old, of_new]), filtered, forces)
 
     @property
@@ -158,7 +157,9 @@ class ReducedNewmark:
         whole[:3] = state.modal
         np.multiply(self._dynamic, product(table.modal(), forces.ravel()), out=whole[3])
         whole[3] += prediction.u
-        modal = np.stack([product(whole.T, rate) for rate in prediction.rule.rates])
+        modal = np.empty_like(state.modal)
+        modal[0] = whole[3]
+        np.matmul(prediction.rule.rates, whole, out=modal[1:])
         filtered = self._share * forces
         filtered += _widened(prediction.filtered, table.count)
         return ModalMotion(flushed(modal), flushed(filtered), forces)
