@@ -78,6 +78,7 @@ class ClockLoop:
         self._running = threading.Event()
         self._running.set()
         self._thread: threading.Thread | None = None
+        self._deadline = self._now()
         self.ticks = 0
         self.overruns = 0
         self.error: BaseException | None = None
@@ -91,6 +92,11 @@ class ClockLoop:
     def paused(self) -> bool:
         """Whether the loop stands still."""
         return not self._running.is_set()
+
+    @property
+    def time_left(self) -> float:
+        """Time until the next deadline, s; meaningless while it stands still."""
+        return (self._deadline - self._now()) / _SECOND
 
     def pause(self) -> None:
         """Stand still after the tick under way."""
@@ -127,25 +133,29 @@ class ClockLoop:
 
     def run(self) -> None:
         """Tick until stopped."""
-        deadline = self._now() + self._period
+        self._start_afresh()
         while not self._stopping:
             if self.paused:
                 self._running.wait()
-                deadline = self._now() + self._period
+                self._start_afresh()
                 continue
-            remaining = deadline - self._now()
+            remaining = self._deadline - self._now()
             if remaining > self._period:  # the clock jumped back
-                deadline = self._now() + self._period
+                self._start_afresh()
                 continue
             if remaining > 0:
                 self._sleep(min(remaining / _SECOND, _LONGEST_SLEEP))
                 continue
-            self._note(deadline)
-            deadline += self._period
+            self._note(self._deadline)
+            deadline = self._deadline + self._period
             missed = -((deadline - self._now()) // self._period)  # rounded up
             if missed > 0:
                 self.overruns += missed
                 deadline += missed * self._period
+            self._deadline = deadline
+
+    def _start_afresh(self) -> None:
+        self._deadline = self._now() + self._period
 
     def report(self) -> LoopReport:
         """Return how the loop did over its latest ticks."""

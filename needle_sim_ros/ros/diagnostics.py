@@ -47,12 +47,14 @@ class Diagnostics:
         self._wall = time.monotonic()
         self._ticks: int | None = None
 
-    def message(self) -> DiagnosticArray:
-        """Return the message; rates are since the last call."""
+    def message(self, pause: Callable[[], object] = lambda: None) -> DiagnosticArray:
+        """Return the message, made with pauses; rates are since the last call."""
         message = DiagnosticArray()
         stamp = message.header.stamp
         stamp.sec, stamp.nanosec = divmod(self._plant.stamp, 1_000_000_000)
-        message.status = [self._clock(), self._commands(), self._recorder()]
+        for part in (self._clock, self._commands, self._recorder):
+            message.status.append(part())
+            pause()
         return message
 
     def _clock(self) -> DiagnosticStatus:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
 
 from rclpy.node import Node
@@ -48,10 +49,11 @@ class Outputs:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
-    def refresh(self) -> None:
-        """Ask the middleware who listens."""
+    def refresh(self, pause: Callable[[], object] = lambda: None) -> None:
+        """Ask the middleware who listens, with a pause after each topic."""
         for hearers in self._hearers:
             hearers.refresh()
+            pause()
 
     def _sink(self, channel: Channel) -> Sink:
         package, _, kind = channel.type.split("/")

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from needle_sim_ros.errors import NeedleSimError
-from needle_sim_ros.ros import interaction_parameters
+from needle_sim_ros.ros import interaction_parameters, own_core
 from needle_sim_ros.ros.commands import StageLimits
 from needle_sim_ros.ros.plant import Plant
 from needle_sim_ros.ros.record_folder import RecordFolder
@@ -97,6 +97,7 @@ class Settings:
     rate: float
     limits: StageLimits
     realtime_priority: float
+    dedicated_core: int
     publish_clock: bool
     record: bool
     record_folder: RecordFolder
@@ -130,6 +131,7 @@ def declare(node: Node) -> Settings:
     )
     if publish_clock and node.get_parameter("use_sim_time").value:
         raise ParameterError("publish_clock and use_sim_time are both true: choose one time source")
+    core = _declare_core(node)
     overrides = _overrides(texts["scene_overrides"])
     scene = Scene.load(texts["scene"], overrides)
     scene = _declare_interaction(node, scene)
@@ -139,6 +141,7 @@ def declare(node: Node) -> Settings:
         rate=numbers["rate"],
         limits=limits(numbers),
         realtime_priority=numbers["realtime_priority"],
+        dedicated_core=core,
         publish_clock=bool(publish_clock),
         record=bool(texts["record"]),
         record_folder=RecordFolder(
@@ -221,6 +224,23 @@ def _declare_number(node: Node, name: str, number: _Number) -> float:
     return value
 
 
+def _declare_core(node: Node) -> int:
+    name = "dedicated_core"
+    descriptor = ParameterDescriptor(
+        description="Processor for the clock loop alone, which waits there awake; -1: none.",
+        read_only=True,
+    )
+    core = int(_declared(node, name, -1, descriptor))
+    if core == -1:
+        return core
+    if node.get_parameter("use_sim_time").value:
+        raise ParameterError(f"parameter {name} = {core}: use_sim_time waits for another clock")
+    reason = own_core.why_not(core)
+    if reason:
+        raise ParameterError(f"parameter {name} = {core}: {reason}")
+    return core
+
+
 def _declared(node: Node, name: str, default: object, descriptor: ParameterDescriptor) -> Any:
     if node.has_parameter(name):  # configured before, and cleaned up
         return node.get_parameter(name).value
@@ -243,7 +263,12 @@ def _wrong_type(name: str, error: str, default: object) -> str:
     value, kind = match[1], match[2].lower()
     if isinstance(default, float) and kind == "integer":
         return f"parameter {name} = {value} is an integer: write {value}.0"
-    kinds = {bool: "true or false", float: "a number with a decimal point", str: "a string"}
+    kinds = {
+        bool: "true or false",
+        int: "an integer",
+        float: "a number with a decimal point",
+        str: "a string",
+    }
     return f"parameter {name} = {value} is of type {kind}: must be {kinds[type(default)]}"
 
 

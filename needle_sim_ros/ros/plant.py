@@ -7,8 +7,11 @@ and recordings in the making; commands come in without them.
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +38,7 @@ _EVENTS: Encoders = (
     (channels.EVENTS, lambda stamp, event: channels.event_message(event[0], **event[1])),
 )
 _PATIENCE = 5e-3  # s that others wait for a tick: commands must not pile up behind slow ones
+ROOM = 1e-4  # s, in which whoever works beside the ticks does a piece of it
 _TICK_TIME: Encoders = ((channels.TICK_TIME, lambda stamp, took: cdr.float64(took)),)
 
 
@@ -75,13 +79,16 @@ class Plant:
         self.last_failure = ""
         self.last_observation: Observation | None = None
         self.watch: Callable[[Observation, Motion], object] | None = None  # told of every tick
+        self.time_left: Callable[[], float] = lambda: math.inf  # until the next tick begins, s
+        self.greet: Callable[[], object] = lambda: None  # each thread that gives way, once
+        self._known = threading.local()
         self._simulator = Simulator(scene)
         self._simulator.prepare_beside()
         encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
         motions = channels.motion_encoders(naming.tissue_frame)
         self._encoders = tuple(encoders.items())
         self._motion_encoders = {kind: (encoder,) for kind, encoder in motions.items()}
-        self._outlet = Outlet(naming, sinks, self.give_way)
+        self._outlet = Outlet(naming, sinks, partial(self.give_way, ROOM))
         self._warn = warn
         self._lock = threading.Lock()
         self._setting = threading.Lock()  # for what keeps a scene through more than one tick
@@ -148,12 +155,23 @@ class Plant:
         with self._lock:
             self._tick()
 
-    def give_way(self) -> None:
+    def give_way(self, room: float = 0.0) -> None:
         """Wait until a tick under way is over, but not long: for whoever works beside the ticks.
 
         A tick lets go of the interpreter lock now and then, in the linear algebra. Who takes
         it keeps the tick waiting for longer than the tick itself takes.
+
+        Parameters
+        ----------
+        room : float
+            Time to work for, s: where the next tick begins sooner, that one is waited for.
         """
+        if not hasattr(self._known, "greeted"):
+            self._known.greeted = True
+            self.greet()
+        left = self.time_left()
+        if 0 < left < room:
+            time.sleep(left)
         if self._lock.acquire(timeout=_PATIENCE):
             self._lock.release()
 

@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+import threading
 from collections.abc import Callable
+from pathlib import Path
+
+_THREADS = Path("/proc/self/task")
 
 
 def take_priority(priority: float) -> str:
@@ -40,6 +45,27 @@ def take_priority(priority: float) -> str:
             continue
         return f"nice {nice} (SCHED_FIFO: {refused})"
     return f"normal (SCHED_FIFO: {refused})"
+
+
+def raise_middleware(priority: float) -> None:
+    """Make real-time threads of those that Python did not start, where that is permitted.
+
+    They are the middleware's, and hold locks that publishing waits for.
+
+    Parameters
+    ----------
+    priority : float
+        Of SCHED_FIFO; below 1 nothing changes.
+    """
+    if priority < 1 or not hasattr(os, "sched_setscheduler"):
+        return
+    known = {thread.native_id for thread in threading.enumerate()}
+    for task in _THREADS.iterdir():
+        if int(task.name) not in known:
+            with contextlib.suppress(OSError):  # not permitted, or it has just ended
+                os.sched_setscheduler(
+                    int(task.name), os.SCHED_FIFO, os.sched_param(round(priority))
+                )
 
 
 _TICK_INTERVAL = 5e-3  # s, longer than a tick

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from rclpy.clock import Clock
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -26,9 +25,11 @@ from needle_sim_ros.ros.identification import Identification
 from needle_sim_ros.ros.inputs import Inputs
 from needle_sim_ros.ros.outlet import Naming
 from needle_sim_ros.ros.outputs import Outputs
+from needle_sim_ros.ros.own_core import OwnCore
 from needle_sim_ros.ros.planning import Planning
-from needle_sim_ros.ros.plant import Plant
-from needle_sim_ros.ros.priority import take_priority, uninterrupted
+from needle_sim_ros.ros.plant import ROOM, Plant
+from needle_sim_ros.ros.priority import raise_middleware, take_priority, uninterrupted
+from needle_sim_ros.ros.regularly import Pause, Regularly
 from needle_sim_ros.ros.services import Services
 from needle_sim_ros.ros.visualization import Visualization
 from needle_sim_ros.session import channels
@@ -56,7 +57,7 @@ class Simulation:
     outputs : Outputs
     visualization : Visualization
     priority : str
-        With which the clock loop runs.
+        With which the clock loop runs, and whether on a processor of its own.
     active : bool
         Whether it may tick; a managed node that is not activated may not.
 
@@ -133,7 +134,14 @@ class Simulation:
         self.plant = Plant(
             settings.scene, settings.period, commands, naming, self.outputs.sinks, self._warn
         )
+        self._core: OwnCore | None = None
+        if settings.dedicated_core >= 0:
+            self._core = OwnCore(settings.dedicated_core, settings.period)
+            self._undo.append(self._core.give_back)
         self.loop = self._make_loop()
+        self.plant.time_left = lambda: self.loop.time_left
+        # A thread that holds the interpreter lock must not be held up by other processes
+        self.plant.greet = lambda: take_priority(max(0.0, settings.realtime_priority - 1))
         if settings.record:
             record = self.record_folder
             folder = self.plant.start_recording(record.path(), record.split)
@@ -164,10 +172,13 @@ class Simulation:
         self._diagnostics = Diagnostics(
             self.plant, self.loop, inputs.publishers, lambda: self.priority, name
         )
-        hearers = node.create_timer(_HEARERS_PERIOD, self.outputs.refresh, clock=Clock())
-        self._undo.append(partial(node.destroy_timer, hearers))
-        timer = node.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock())
-        self._undo.append(partial(node.destroy_timer, timer))
+        regularly = Regularly(
+            {self.outputs.refresh: _HEARERS_PERIOD, self._diagnose: _DIAGNOSTICS_PERIOD},
+            partial(self.plant.give_way, ROOM),
+            lambda error: node.get_logger().error(f"not done this time: {error!r}"),
+        )
+        self._beside.append(regularly.close)
+        self._undo.append(regularly.close)
         validate = partial(parameters.validate, node, self)
         node.add_on_set_parameters_callback(validate)
         self._undo.append(partial(node.remove_on_set_parameters_callback, validate))
@@ -175,7 +186,11 @@ class Simulation:
         self._undo.append(partial(node.remove_post_set_parameters_callback, self._parameters_set))
 
     def _take_priority(self) -> None:
-        self.priority = take_priority(self._settings.realtime_priority)
+        priority = self._settings.realtime_priority
+        self.priority = take_priority(priority)
+        raise_middleware(priority - 1)
+        if self._core is not None:
+            self.priority += ", " + self._core.take()
 
     def _resolved(self, channel: Channel) -> str:
         name: str = self._node.resolve_topic_name(channel.name)
@@ -184,7 +199,12 @@ class Simulation:
     def _make_loop(self) -> ClockLoop:
         period, tick = self._settings.period, uninterrupted(self.plant.tick)
         if not self._node.get_parameter("use_sim_time").value:
-            return ClockLoop(tick, period)
+            core = self._core
+            return (
+                ClockLoop(tick, period)
+                if core is None
+                else ClockLoop(tick, period, sleep=core.wait)
+            )
         clock = self._node.get_clock()
         return ClockLoop(
             tick,
@@ -219,11 +239,12 @@ class Simulation:
             if not change.name.startswith(interaction_parameters.PREFIX):
                 self.plant.event("parameter", name=change.name, value=change.value)
 
-    def _diagnose(self) -> None:
+    def _diagnose(self, pause: Pause) -> None:
         self._reports += 1
         if not gc.isenabled() and self._reports % _GARBAGE_REPORTS == 0:
             gc.collect()  # holds up a tick or two at 1 kHz
-        data = serialize_message(self._diagnostics.message())
+        pause()
+        data = serialize_message(self._diagnostics.message(pause))
         self.outputs.sinks[channels.DIAGNOSTICS].publish(data)
         self.plant.record(channels.DIAGNOSTICS, data)
         status = self.plant.recorder_status

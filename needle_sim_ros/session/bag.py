@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -228,11 +228,14 @@ class Bag:
             yield entries[:count]
             entries = entries[count:]
 
-    def write(self, entries: Sequence[Entry]) -> None:
-        """Write messages as one chunk, all or none; `OSError` when the disk refuses."""
+    def write(self, entries: Sequence[Entry], pause: Callable[[], object] = lambda: None) -> None:
+        """Write messages as one chunk, all or none; `OSError` when the disk refuses.
+
+        `pause` is as in :meth:`McapFile.write_chunk`.
+        """
         if entries and self._is_full(entries[0][2]):
             self._begin_file()
-        self.file.write_chunk(entries)
+        self.file.write_chunk(entries, pause)
 
     def _is_full(self, time: int) -> bool:
         start, split = self.file.start, self._split

@@ -41,6 +41,7 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _MESSAGE = struct.Struct("<BQHIQQ")
 _TIMES = struct.Struct("<QQ")
 _MESSAGE_FIXED, _INDEX_FIXED = 22, 6
+_FEW = 8  # messages that are packed without a pause
 
 # channel id, sequence, log time in ns, serialised message
 Entry = tuple[int, int, int, bytes]
@@ -166,8 +167,16 @@ class McapFile:
         self._append(record)
         self._metadata.append(index)
 
-    def write_chunk(self, entries: Sequence[Entry]) -> None:
+    def write_chunk(
+        self, entries: Sequence[Entry], pause: Callable[[], object] = lambda: None
+    ) -> None:
         """Write messages as one chunk, all or none.
+
+        Parameters
+        ----------
+        entries : sequence of Entry
+        pause : callable
+            Called between pieces of the work, none of which takes long.
 
         Raises
         ------
@@ -180,13 +189,18 @@ class McapFile:
         parts, offset = [definitions], len(definitions)
         indexes: dict[int, list[tuple[int, int]]] = {}
         pack = _MESSAGE.pack
-        for channel, sequence, time, data in entries:
+        for number, (channel, sequence, time, data) in enumerate(entries):
+            if number % _FEW == 0:
+                pause()
             length = _MESSAGE_FIXED + len(data)
             parts += (pack(Opcode.MESSAGE, length, channel, sequence, time, time), data)
             indexes.setdefault(channel, []).append((time, offset))
             offset += 9 + length
+        pause()
         raw = b"".join(parts)
+        pause()
         stored = raw if self._compress is None else self._compress(raw)
+        pause()
         times = [entry[2] for entry in entries]
         compression = "" if self._compress is None else "zstd"
         chunk = record_bytes(
@@ -202,9 +216,11 @@ class McapFile:
         tail, offsets = [], {}
         position = self._end + len(chunk)
         for channel, records in indexes.items():
+            pause()
             offsets[channel] = position
             tail.append(message_index(channel, records))
             position += len(tail[-1])
+        pause()
         index = ChunkIndex(
             chunk_length=len(chunk),
             chunk_start_offset=self._end,

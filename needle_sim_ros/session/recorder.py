@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from needle_sim_ros.session.bag import Bag
 from needle_sim_ros.session.mcap_file import Entry
@@ -17,7 +16,6 @@ _CHUNK = 1 << 20
 _INTERVAL = 0.2
 _NOTHING: Counter[int] = Counter()
 _OVERHEAD = 120  # of a queued message beside its bytes
-_FEW = 32  # messages that are gone through between two looks at what is more urgent
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ class Recorder:
 
     def _write(self, part: Sequence[Entry]) -> None:
         try:
-            self._bag.write(_Unhurried(part, self._give_way))
+            self._bag.write(part, self._give_way)
         except Exception as error:  # whatever it is, it is counted and the simulation goes on
             self._note(0, len(part), _reason(error))
         else:
@@ -212,24 +210,6 @@ class Recorder:
             self._lost += lost
             self._size = self._bag.size
             self._error = error or self._error
-
-
-class _Unhurried(Sequence[Entry]):
-    """Entries; who goes through them gives way every few."""
-
-    def __init__(self, entries: Sequence[Entry], give_way: Callable[[], object]) -> None:
-        self._entries, self._give_way = entries, give_way
-
-    def __len__(self) -> int:
-        return len(self._entries)
-
-    def __getitem__(self, key: Any) -> Any:
-        return self._entries[key]
-
-    def __iter__(self) -> Iterator[Entry]:
-        for start in range(0, len(self._entries), _FEW):
-            self._give_way()
-            yield from self._entries[start : start + _FEW]
 
 
 def _reason(error: Exception) -> str:

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* A matrix times a vector, without letting other threads in meanwhile. */
+/* Sums of products, without letting other threads in meanwhile. */
+#include "../_buffers.h"
 #include "../_linear_algebra.h"
 
-#define ARGUMENTS 3
+#define NUMBER (sizeof(Py_ssize_t) == sizeof(long) ? "l" : "q") /* numpy's intp */
 
 /* Return whether a buffer holds doubles in so many dimensions; with an exception if not. */
 static int doubles(const Py_buffer *view, int dimensions, const char *name)
@@ -36,15 +37,22 @@ static int multiply(const Py_buffer *matrix, const Py_buffer *vector, double *ou
     return 0;
 }
 
+/* Refuse a call with another number of arguments. */
+static int counted(Py_ssize_t given, Py_ssize_t wanted)
+{
+    if (given == wanted)
+        return 0;
+    PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", wanted, given);
+    return -1;
+}
+
 static PyObject *product_into(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     (void)module;
     Py_buffer matrix, vector, out;
     int fits = 0;
-    if (given != ARGUMENTS) {
-        PyErr_Format(PyExc_TypeError, "%d arguments, not %zd", ARGUMENTS, given);
+    if (counted(given, 3) < 0)
         return NULL;
-    }
     if (PyObject_GetBuffer(arguments[0], &matrix, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
         return NULL;
     if (PyObject_GetBuffer(arguments[1], &vector, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) < 0)
@@ -70,9 +78,110 @@ matrix_only:
     Py_RETURN_NONE;
 }
 
+/* Add up rows of a matrix, one after the other: the same bits whichever columns are wanted. */
+static int add_up(Buffers *all, PyObject *const *arguments)
+{
+    Py_buffer *view = &all->held[0];
+    Py_ssize_t *rows, low = PyLong_AsSsize_t(arguments[3]);
+    double *weights, *out;
+    if (low == -1 && PyErr_Occurred())
+        return -1;
+    if (PyObject_GetBuffer(arguments[0], view, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
+        return -1;
+    all->count = 1;
+    if (!doubles(view, 2, "matrix"))
+        return -1;
+    TAKE(rows, 1, NUMBER, 0, 0)
+    int count = TAKEN(Py_ssize_t);
+    TAKE(weights, 2, "d", count, 0)
+    TAKE(out, 4, "d", 0, 1)
+    Py_ssize_t width = TAKEN(double), down = view->strides[0], across = view->strides[1];
+    if (low < 0 || low + width > view->shape[1]) {
+        PyErr_Format(PyExc_ValueError, "columns %zd to %zd of %zd", low, low + width,
+                     view->shape[1]);
+        return -1;
+    }
+    for (int k = 0; k < count; k++)
+        if (rows[k] < 0 || rows[k] >= view->shape[0]) {
+            PyErr_Format(PyExc_ValueError, "row %zd of %zd", rows[k], view->shape[0]);
+            return -1;
+        }
+    memset(out, 0, (size_t)width * sizeof(double));
+    const char *from = (char *)view->buf + low * across;
+    if (across == (Py_ssize_t)sizeof(double)) {
+        for (int k = 0; k < count; k++)
+            for (Py_ssize_t i = 0; i < width; i++)
+                out[i] += weights[k] * ((double *)(from + rows[k] * down))[i];
+    } else {
+        for (Py_ssize_t i = 0; i < width; i++)
+            for (int k = 0; k < count; k++)
+                out[i] += weights[k] * *(double *)(from + rows[k] * down + i * across);
+    }
+    return 0;
+}
+
+static PyObject *rows_into(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    (void)module;
+    Buffers all = {.count = 0};
+    int failed = counted(given, 5) < 0 || add_up(&all, arguments) < 0;
+    release(&all);
+    if (failed)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+/* Read a field of vectors at places and add up what belongs together. */
+static int sample(Buffers *all, PyObject *const *arguments)
+{
+    double *field, *weights, *out;
+    Py_ssize_t *places, *starts;
+    TAKE(field, 0, "d", 0, 0)
+    Py_ssize_t size = TAKEN(double);
+    TAKE(places, 1, NUMBER, 0, 0)
+    Py_ssize_t count = TAKEN(Py_ssize_t);
+    TAKE(weights, 2, "d", count, 0)
+    TAKE(starts, 3, NUMBER, 0, 0)
+    Py_ssize_t groups = TAKEN(Py_ssize_t);
+    TAKE(out, 4, "d", groups, 1)
+    Py_ssize_t wide = groups == 0 ? 1 : TAKEN(double) / groups;
+    memset(out, 0, (size_t)(groups * wide) * sizeof(double));
+    for (Py_ssize_t group = 0; group < groups; group++) {
+        Py_ssize_t end = group + 1 < groups ? starts[group + 1] : count;
+        if (starts[group] < 0 || end > count) {
+            PyErr_Format(PyExc_ValueError, "places %zd to %zd of %zd", starts[group], end, count);
+            return -1;
+        }
+        for (Py_ssize_t j = starts[group]; j < end; j++) {
+            if (places[j] < 0 || wide * (places[j] + 1) > size) {
+                PyErr_Format(PyExc_ValueError, "place %zd of %zd", places[j], size / wide);
+                return -1;
+            }
+            for (Py_ssize_t b = 0; b < wide; b++)
+                out[group * wide + b] += weights[j] * field[wide * places[j] + b];
+        }
+    }
+    return 0;
+}
+
+static PyObject *samples_into(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    (void)module;
+    Buffers all = {.count = 0};
+    int failed = counted(given, 5) < 0 || sample(&all, arguments) < 0;
+    release(&all);
+    if (failed)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
 static PyMethodDef methods[] = {
     {"product_into", (PyCFunction)(void (*)(void))product_into, METH_FASTCALL,
      "Write the product of a matrix and a vector into a vector."},
+    {"rows_into", (PyCFunction)(void (*)(void))rows_into, METH_FASTCALL,
+     "Write the weighted sum of rows of a matrix, from a column on, into a vector."},
+    {"samples_into", (PyCFunction)(void (*)(void))samples_into, METH_FASTCALL,
+     "Write the weighted sums of a field at groups of places into a vector."},
     {NULL, NULL, 0, NULL},
 };
 

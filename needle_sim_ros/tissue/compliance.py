@@ -21,6 +21,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.model import TissueModel
+from needle_sim_ros.tissue.products import samples, weighted_rows
 from needle_sim_ros.tissue.tiles import Tiles
 
 _ROOM = 256  # nodes off the plan
@@ -307,41 +308,43 @@ class NodalCompliance:
         read[:, :capacity] = self._read
         self._blocks, self._read = blocks, read
 
-    def column(self, footprint: Footprint, at: Index, component: int) -> Vector:
-        """Return the displacement (d, k) of nodes per unit force component on a footprint.
+    def column(
+        self, footprint: Footprint, component: int, at: Index, weights: Vector, starts: Index
+    ) -> Vector:
+        """Return the displacement (n d,) of other footprints per unit force component on one.
 
         Parameters
         ----------
         footprint : Footprint
             Over which the force is spread.
-        at : ndarray of int, shape (k,)
-            Nodes to read.
         component : int
             Of the force.
+        at : ndarray of int, shape (l,)
+            Nodes of the others, one after the other.
+        weights : ndarray, shape (l,)
+        starts : ndarray of int, shape (n,)
+            Where each of them begins.
         """
         d, nodes = self._d, footprint.nodes
         self.ensure(nodes)
         self.ensure(at)
         self._complete(nodes, at)
-        moved = np.empty((d, len(at)))
         if len(at) == 0:
-            return moved
-        places = self._slot.take(at)
+            return np.empty(0)
+        places = self._slot[at]
         low, high = int(places.min()), int(places.max()) + 1
-        read = self._blocks[d * self._slot.take(nodes) + component, d * low : d * high]
-        # sums node by node: unlike a product it gives the same bits whatever is read
-        summed = np.einsum("k,kn->n", footprint.weights, read)
-        places -= low
-        places *= d
-        for b in range(d):
-            summed[b:].take(places, out=moved[b], mode="clip")
-        return moved
+        rows = d * self._slot[nodes] + component
+        moved = weighted_rows(self._blocks, rows, footprint.weights, d * low, d * high)
+        return samples(moved, places - low, weights, starts, d)
 
     def at_readers(self, footprint: Footprint) -> Vector:
         """Return the displacement at the readers, (r, d), per unit force component."""
         self.ensure(footprint.nodes)
-        places = self._d * self._slot.take(footprint.nodes)
-        columns = [self._read.take(places + a, axis=1) @ footprint.weights for a in range(self._d)]
+        places, count = self._d * self._slot[footprint.nodes], len(self._read)
+        columns = [
+            weighted_rows(self._read.T, places + a, footprint.weights, 0, count)
+            for a in range(self._d)
+        ]
         return np.stack(columns, axis=1)
 
     def _unknowns(self, nodes: Index) -> Index:

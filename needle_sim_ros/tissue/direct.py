@@ -16,6 +16,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import Index
+from needle_sim_ros.tissue.products import samples
 
 
 class DirectCompliance(NodalCompliance):
@@ -34,9 +35,14 @@ class DirectCompliance(NodalCompliance):
     def expect(self, nodes: Index) -> None:
         """Do nothing."""
 
-    def column(self, footprint: Footprint, at: Index, component: int) -> Vector:
-        """Return the displacement (d, k) of nodes per unit force component; one solve."""
-        return expand(self._model, self._unit(footprint, component)).T.take(at, axis=1)
+    def column(
+        self, footprint: Footprint, component: int, at: Index, weights: Vector, starts: Index
+    ) -> Vector:
+        """Return the displacement (n d,) of other footprints per unit force; one solve."""
+        if len(at) == 0:
+            return np.empty(0)
+        moved = expand(self._model, self._unit(footprint, component)).ravel()
+        return samples(moved, at, weights, starts, self.dimension)
 
     def at_readers(self, footprint: Footprint) -> Vector:
         """Return the displacement at the readers, (r, d), after the columns without a solve."""

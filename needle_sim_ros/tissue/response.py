@@ -15,7 +15,7 @@ import numpy as np
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.mesh import Index
-from needle_sim_ros.tissue.products import product
+from needle_sim_ros.tissue.products import product, weighted_rows
 
 # components of a unit vector that are not zero, by number
 Axis = list[tuple[int, float]]
@@ -234,9 +234,7 @@ class ResponseTable:
         Of all rows and another one it is a part of :meth:`row`, which takes a tick's time as
         a whole.
         """
-        moved = self.compliance.column(footprint, rows.nodes, component)
-        moved *= rows.weights
-        return np.asarray(np.add.reduceat(moved, rows.starts, axis=1).T.ravel())
+        return self.compliance.column(footprint, component, rows.nodes, rows.weights, rows.starts)
 
     def read(self, reading: Reading) -> Reading:
         """Return a reading with one component more, and with the modes when it is the last."""
@@ -365,5 +363,6 @@ class ModalPart:
 
     def at(self, footprint: Footprint) -> Vector:
         """Return the shapes at a footprint, (modes, d)."""
-        nodes = self.shapes.take(footprint.nodes, axis=0)
-        return (footprint.weights @ nodes.reshape(len(nodes), -1)).reshape(-1, self.count).T
+        flat = self.shapes.reshape(len(self.shapes), -1)
+        summed = weighted_rows(flat, footprint.nodes, footprint.weights, 0, flat.shape[1])
+        return summed.reshape(-1, self.count).T

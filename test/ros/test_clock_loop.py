@@ -110,3 +110,13 @@ def test_what_a_tick_raises_ends_the_loop_and_is_told():
     assert told.wait(10)
     assert isinstance(loop.error, ZeroDivisionError)
     loop.stop()
+
+
+def test_it_says_how_long_there_is_until_the_next_deadline():
+    clock = Clock(work_ms=[1], ticks=1)
+    left = []
+    clock.loop._sleep = lambda seconds: (left.append(clock.loop.time_left), clock.sleep(seconds))
+    clock.run()
+    assert left == [pytest.approx(0.01)]
+    clock.time += 4 * MS
+    assert clock.loop.time_left == pytest.approx(0.005)  # of ten, one went by in the tick

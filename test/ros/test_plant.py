@@ -91,3 +91,12 @@ def test_who_works_beside_the_ticks_waits_for_one_under_way_but_not_for_long(pla
     ticking.join(PATIENCE)
     assert not (waiting.is_alive() or ticking.is_alive())
     plant.give_way()
+
+
+def test_who_needs_more_time_than_is_left_waits_for_the_next_tick(plant, monkeypatch):
+    slept = []
+    monkeypatch.setattr("needle_sim_ros.ros.plant.time.sleep", slept.append)
+    for left, room in ((5e-5, 1e-4), (2e-4, 1e-4), (-1e-3, 1e-4), (5e-5, 0.0)):
+        plant.time_left = lambda left=left: left
+        plant.give_way(room)
+    assert slept == [5e-5]  # but not where a tick is late already: it is under way, or waited for
