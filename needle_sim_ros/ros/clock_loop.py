@@ -147,12 +147,11 @@ class ClockLoop:
                 self._sleep(min(remaining / _SECOND, _LONGEST_SLEEP))
                 continue
             self._note(self._deadline)
-            deadline = self._deadline + self._period
-            missed = -((deadline - self._now()) // self._period)  # rounded up
+            self._deadline += self._period
+            missed = -((self._deadline - self._now()) // self._period)  # rounded up
             if missed > 0:
                 self.overruns += missed
-                deadline += missed * self._period
-            self._deadline = deadline
+                self._deadline += missed * self._period
 
     def _start_afresh(self) -> None:
         self._deadline = self._now() + self._period

@@ -2,22 +2,21 @@
 """A processor that the clock loop has to itself, and does not leave between ticks.
 
 Who sleeps until the next tick wakes up late and on a processor whose caches others have filled:
-at 1 kHz that costs a tick as much time again. On a core of its own the loop waits awake.
+at 1 kHz that costs a tick half as much time again. On a core of its own the loop waits awake.
 """
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
-from pathlib import Path
+
+from needle_sim_ros.ros.threads import for_each_thread
 
 try:
     from needle_sim_ros.ros import _wait
 except ImportError:  # built without a compiler, or run from the source
     _wait = None  # type: ignore[assignment]
 
-_THREADS = Path("/proc/self/task")
 # part of a period that it sleeps at first: Linux takes a processor away from real-time threads
 # that never do, for 50 ms in every second
 _ASLEEP = 0.06
@@ -55,22 +54,17 @@ class OwnCore:
         """Bind the calling thread to it and keep the others off; return what to tell of it."""
         mine = threading.get_native_id()
         others = os.sched_getaffinity(0) - {self._number}
-        _bind(lambda thread: {self._number} if thread == mine else others)
+        for_each_thread(
+            lambda one: os.sched_setaffinity(one, {self._number} if one == mine else others)
+        )
         return f"processor {self._number} to itself"
 
     def give_back(self) -> None:
         """Let all threads use it again."""
-        _bind(lambda thread: os.sched_getaffinity(thread) | {self._number})
+        for_each_thread(
+            lambda one: os.sched_setaffinity(one, os.sched_getaffinity(one) | {self._number})
+        )
 
     def wait(self, seconds: float) -> None:
         """Wait without leaving the processor, but for a short sleep at first."""
         _wait.wait_awake(seconds, self._asleep)
-
-
-def _bind(processors: Callable[[int], set[int]]) -> None:
-    """Give every thread of the process the processors that belong to its number."""
-    for task in _THREADS.iterdir():
-        try:
-            os.sched_setaffinity(int(task.name), processors(int(task.name)))
-        except ProcessLookupError:  # it has just ended
-            continue

@@ -8,9 +8,8 @@ import os
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
-_THREADS = Path("/proc/self/task")
+from needle_sim_ros.ros.threads import for_each_thread
 
 
 def take_priority(priority: float) -> str:
@@ -60,12 +59,14 @@ def raise_middleware(priority: float) -> None:
     if priority < 1 or not hasattr(os, "sched_setscheduler"):
         return
     known = {thread.native_id for thread in threading.enumerate()}
-    for task in _THREADS.iterdir():
-        if int(task.name) not in known:
-            with contextlib.suppress(OSError):  # not permitted, or it has just ended
-                os.sched_setscheduler(
-                    int(task.name), os.SCHED_FIFO, os.sched_param(round(priority))
-                )
+    wanted = os.sched_param(round(priority))
+
+    def lift(thread: int) -> None:
+        if thread not in known:
+            os.sched_setscheduler(thread, os.SCHED_FIFO, wanted)
+
+    with contextlib.suppress(PermissionError):
+        for_each_thread(lift)
 
 
 _TICK_INTERVAL = 5e-3  # s, longer than a tick

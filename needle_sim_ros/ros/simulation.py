@@ -199,12 +199,8 @@ class Simulation:
     def _make_loop(self) -> ClockLoop:
         period, tick = self._settings.period, uninterrupted(self.plant.tick)
         if not self._node.get_parameter("use_sim_time").value:
-            core = self._core
-            return (
-                ClockLoop(tick, period)
-                if core is None
-                else ClockLoop(tick, period, sleep=core.wait)
-            )
+            sleep = time.sleep if self._core is None else self._core.wait
+            return ClockLoop(tick, period, sleep=sleep)
         clock = self._node.get_clock()
         return ClockLoop(
             tick,

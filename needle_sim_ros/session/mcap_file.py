@@ -202,13 +202,14 @@ class McapFile:
         stored = raw if self._compress is None else self._compress(raw)
         pause()
         times = [entry[2] for entry in entries]
+        first, last = min(times), max(times)
         compression = "" if self._compress is None else "zstd"
         chunk = record_bytes(
             Chunk(
                 compression=compression,
                 data=stored,
-                message_start_time=min(times),
-                message_end_time=max(times),
+                message_start_time=first,
+                message_end_time=last,
                 uncompressed_crc=zlib.crc32(raw),
                 uncompressed_size=len(raw),
             )
@@ -226,10 +227,10 @@ class McapFile:
             chunk_start_offset=self._end,
             compression=compression,
             compressed_size=len(stored),
-            message_end_time=max(times),
+            message_end_time=last,
             message_index_length=position - self._end - len(chunk),
             message_index_offsets=offsets,
-            message_start_time=min(times),
+            message_start_time=first,
             uncompressed_size=len(raw),
         )
         self._append(b"".join((chunk, *tail)))

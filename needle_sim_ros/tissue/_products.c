@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Sums of products, without letting other threads in meanwhile. */
-#include "../_buffers.h"
 #include "../_linear_algebra.h"
 
 #define NUMBER (sizeof(Py_ssize_t) == sizeof(long) ? "l" : "q") /* numpy's intp */
@@ -14,12 +13,52 @@ static int doubles(const Py_buffer *view, int dimensions, const char *name)
     return 0;
 }
 
-static int multiply(const Py_buffer *matrix, const Py_buffer *vector, double *out)
+/* Take a matrix of doubles as it lies in memory, before all other arrays; NULL if it is none. */
+static const Py_buffer *matrix_in(Buffers *all, PyObject *object)
+{
+    Py_buffer *view = &all->held[0];
+    if (PyObject_GetBuffer(object, view, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
+        return NULL;
+    all->count = 1;
+    return doubles(view, 2, "matrix") ? view : NULL;
+}
+
+/* Do what a function of Python is for and let go of its arrays; -1 stands for an exception. */
+static PyObject *done(int (*work)(Buffers *, PyObject *const *), Py_ssize_t wanted,
+                      PyObject *const *arguments, Py_ssize_t given)
+{
+    Buffers all = {.count = 0};
+    int failed = given != wanted;
+    if (failed)
+        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", wanted, given);
+    else
+        failed = work(&all, arguments) < 0;
+    release(&all);
+    if (failed)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+static int multiply(Buffers *all, PyObject *const *arguments)
 {
     const Py_ssize_t item = sizeof(double);
+    const Py_buffer *matrix = matrix_in(all, arguments[0]);
+    double *x, *out, unit = 1.0, zero = 0.0;
+    if (matrix == NULL)
+        return -1;
+    TAKE(x, 1, "d", 0, 0)
+    const Py_buffer *vector = &all->held[1];
+    TAKE(out, 2, "d", 0, 1)
+    const Py_buffer *target = &all->held[2];
+    if (!doubles(vector, 1, "vector") || !doubles(target, 1, "out"))
+        return -1;
+    if (matrix->shape[1] != vector->shape[0] || matrix->shape[0] != target->shape[0]) {
+        PyErr_Format(PyExc_ValueError, "%zd x %zd times %zd is not %zd", matrix->shape[0],
+                     matrix->shape[1], vector->shape[0], target->shape[0]);
+        return -1;
+    }
     int rows = (int)matrix->shape[0], columns = (int)matrix->shape[1], one = 1;
     Py_ssize_t down = matrix->strides[0], across = matrix->strides[1];
-    double *x = vector->buf, unit = 1.0, zero = 0.0;
     memset(out, 0, (size_t)rows * sizeof(double));
     if (rows == 0 || columns == 0)
         return 0;
@@ -37,59 +76,19 @@ static int multiply(const Py_buffer *matrix, const Py_buffer *vector, double *ou
     return 0;
 }
 
-/* Refuse a call with another number of arguments. */
-static int counted(Py_ssize_t given, Py_ssize_t wanted)
-{
-    if (given == wanted)
-        return 0;
-    PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", wanted, given);
-    return -1;
-}
-
 static PyObject *product_into(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     (void)module;
-    Py_buffer matrix, vector, out;
-    int fits = 0;
-    if (counted(given, 3) < 0)
-        return NULL;
-    if (PyObject_GetBuffer(arguments[0], &matrix, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
-        return NULL;
-    if (PyObject_GetBuffer(arguments[1], &vector, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) < 0)
-        goto matrix_only;
-    if (PyObject_GetBuffer(arguments[2], &out,
-                           PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) < 0)
-        goto both;
-    if (doubles(&matrix, 2, "matrix") && doubles(&vector, 1, "vector") && doubles(&out, 1, "out")) {
-        fits = matrix.shape[1] == vector.shape[0] && matrix.shape[0] == out.shape[0];
-        if (fits)
-            multiply(&matrix, &vector, out.buf);
-        else
-            PyErr_Format(PyExc_ValueError, "%zd x %zd times %zd is not %zd", matrix.shape[0],
-                         matrix.shape[1], vector.shape[0], out.shape[0]);
-    }
-    PyBuffer_Release(&out);
-both:
-    PyBuffer_Release(&vector);
-matrix_only:
-    PyBuffer_Release(&matrix);
-    if (!fits)
-        return NULL;
-    Py_RETURN_NONE;
+    return done(multiply, 3, arguments, given);
 }
 
 /* Add up rows of a matrix, one after the other: the same bits whichever columns are wanted. */
 static int add_up(Buffers *all, PyObject *const *arguments)
 {
-    Py_buffer *view = &all->held[0];
-    Py_ssize_t *rows, low = PyLong_AsSsize_t(arguments[3]);
+    const Py_buffer *view = matrix_in(all, arguments[0]);
+    Py_ssize_t *rows, low = view == NULL ? -1 : PyLong_AsSsize_t(arguments[3]);
     double *weights, *out;
-    if (low == -1 && PyErr_Occurred())
-        return -1;
-    if (PyObject_GetBuffer(arguments[0], view, PyBUF_STRIDED_RO | PyBUF_FORMAT) < 0)
-        return -1;
-    all->count = 1;
-    if (!doubles(view, 2, "matrix"))
+    if (view == NULL || (low == -1 && PyErr_Occurred()))
         return -1;
     TAKE(rows, 1, NUMBER, 0, 0)
     int count = TAKEN(Py_ssize_t);
@@ -123,12 +122,7 @@ static int add_up(Buffers *all, PyObject *const *arguments)
 static PyObject *rows_into(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     (void)module;
-    Buffers all = {.count = 0};
-    int failed = counted(given, 5) < 0 || add_up(&all, arguments) < 0;
-    release(&all);
-    if (failed)
-        return NULL;
-    Py_RETURN_NONE;
+    return done(add_up, 5, arguments, given);
 }
 
 /* Read a field of vectors at places and add up what belongs together. */
@@ -167,12 +161,7 @@ static int sample(Buffers *all, PyObject *const *arguments)
 static PyObject *samples_into(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     (void)module;
-    Buffers all = {.count = 0};
-    int failed = counted(given, 5) < 0 || sample(&all, arguments) < 0;
-    release(&all);
-    if (failed)
-        return NULL;
-    Py_RETURN_NONE;
+    return done(sample, 5, arguments, given);
 }
 
 static PyMethodDef methods[] = {

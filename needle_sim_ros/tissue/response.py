@@ -15,7 +15,7 @@ import numpy as np
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import Footprint, NodalCompliance
 from needle_sim_ros.tissue.mesh import Index
-from needle_sim_ros.tissue.products import product, weighted_rows
+from needle_sim_ros.tissue.products import product, samples, weighted_rows
 
 # components of a unit vector that are not zero, by number
 Axis = list[tuple[int, float]]
@@ -307,8 +307,10 @@ class ResponseTable:
         """Sample a nodal field, shape (nodes, d), at the rows; returns (n, d)."""
         if self.count == 0:
             return np.zeros((0, field.shape[1]))
-        spread = field[self.rows.nodes] * self.rows.weights[:, None]
-        return np.asarray(np.add.reduceat(spread, self.rows.starts, axis=0))
+        nodes, weights, starts = self.rows
+        return samples(field.ravel(), nodes, weights, starts, field.shape[1]).reshape(
+            self.count, -1
+        )
 
     def loads(self, forces: Vector) -> Vector:
         """Spread forces on the first rows, (k, d), to `nodes`; returns (len(nodes), d), N."""

@@ -82,7 +82,6 @@ def test_what_cannot_be_had_is_said(monkeypatch):
 
 @able
 def test_the_node_s_clock_loop_has_it_while_it_runs(cell):
-    arrays = []
     cell.start(paused=False, dedicated_core=CORE)
     arrays = cell.collect(DiagnosticArray, "/diagnostics")
 
