@@ -11,6 +11,7 @@ import numpy as np
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
+from needle_sim_ros.interaction.resultants import Resultants, resultants
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.lazily import lazily
 from needle_sim_ros.needle import beam
@@ -61,22 +62,15 @@ class Observation:
         return np.asarray(-(contact.lateral @ per_force.T))
 
     @lazily
-    def _moments(self) -> list[list[float]]:
-        """Sums of q, q s, q s^2 and q s^3 over the lateral forces, one list per direction."""
-        s = self._contact.arclength
-        powers = np.empty((4, len(s)))
-        powers[0], powers[1] = 1.0, s
-        np.multiply(s, s, out=powers[2])
-        np.multiply(powers[2], s, out=powers[3])
-        sums: list[list[float]] = (self._contact.lateral @ powers.T).tolist()
-        return sums
+    def _sums(self) -> Resultants:
+        return resultants(self._contact, self._pose)
 
     @lazily
     def _tip_bent(self) -> list[float]:
         # all forces act between clamp and tip: a = s_k, b = L in the flexibility
         needle = self._scene.needle
         scale, reach = -1.0 / (6.0 * needle.flexural_rigidity), 3.0 * needle.length
-        return [scale * (reach * square - cube) for _, _, square, cube in self._moments]
+        return [scale * (reach * square - cube) for _, _, square, cube in self._sums.moments]
 
     def _world(self, vectors: Vector) -> Vector:
         """Put vectors (..., d) of the mesh into the world (..., 3)."""
@@ -113,7 +107,7 @@ class Observation:
     def tip_slope(self) -> Vector:
         """Slopes of the deflected needle at the tip along base x and y, (2,)."""
         scale = -1.0 / (2.0 * self._scene.needle.flexural_rigidity)
-        return self._in_base([scale * square for _, _, square, _ in self._moments], 0.0)[:2]
+        return self._in_base([scale * square for _, _, square, _ in self._sums.moments], 0.0)[:2]
 
     @lazily
     def base_force(self) -> Vector:
@@ -122,50 +116,31 @@ class Observation:
         Pushing in gives z < 0.
         """
         axial = -(self.friction_force + self._contact.tip)
-        return self._in_base([-total for total, *_ in self._moments], axial)
+        return self._in_base([-total for total, *_ in self._sums.moments], axial)
 
     @lazily
     def base_torque(self) -> Vector:
         """Torque of the tissue on the needle about the base, base frame, (3,), N m."""
-        contact = self._contact
+        contact, sums = self._contact, self._sums
         if contact.active == 0:
             return np.zeros(3)
-        # r x F with r = (lateral, s) and F = (-q, -f): moments of both about x and y
-        held = self._held_bent
-        count = held.shape[1]
-        rubbing = (held @ contact.friction[:count]).tolist()
+        # r x F with r = (lateral, s) and F = (-q, -f): moments of both about x and y;
         # friction on what is ahead of the tip acts at the tip
-        ahead = float(contact.friction[count:].sum()) + contact.tip
+        ahead = sums.beyond + contact.tip
         moment = [
             rub - turn + bent * ahead
             for rub, (_, turn, _, _), bent in zip(
-                rubbing, self._moments, self._tip_bent, strict=True
+                sums.rubbing, sums.moments, self._tip_bent, strict=True
             )
         ]
         if len(moment) == 1:
             return np.array([0.0, moment[0], 0.0])
-        twist = float(held[1] @ contact.lateral[0] - held[0] @ contact.lateral[1])
-        return np.array([-moment[1], moment[0], twist])
-
-    @lazily
-    def _held_bent(self) -> Vector:
-        """Lateral deflection where the lateral forces act, shape (d - 1, k), m.
-
-        Where the track holds the needle, it lies on the track, but for the softness of the hold.
-        """
-        contact = self._contact
-        if contact.touching or contact.track is None:
-            return np.array(self._tip_bent)[:, None]
-        held = len(contact.arclength)
-        points = contact.track.points[:held] + contact.moved[:held]
-        bent = self._pose.aside(points).T
-        bent += contact.softness * contact.lateral
-        return bent
+        return np.array([-moment[1], moment[0], sums.twist])
 
     @lazily
     def friction_force(self) -> float:
         """Sum of the axial friction on the tissue, positive when pushing in, N."""
-        return float(self._contact.friction.sum())
+        return self._sums.friction
 
     @property
     def tip_force(self) -> float:

@@ -28,8 +28,9 @@ Progress = Callable[[int, int], None]
 
 _HASTE, _QUICK_HASTE = 4.0, 16.0
 _NEXT, _REFERENCE = "reference, one level coarser", "reference"
-# growth of the cells away from the needle: where markers are, these decide
-_FINE_GROWTH = 1.2
+# growth of the cells away from the needle: where markers are, these decide; and of a track that
+# is finer than the cells
+_FINE_GROWTH, _FINE_GROWTH_THIN = 1.2, 1.3
 # spacings of the reference where the track is finer than the cells, as parts of the scene's
 _THIN_QUICK, _THIN = 0.75, 0.65
 
@@ -108,14 +109,14 @@ def levels(scene: Scene, quick: bool) -> dict[str, Changes]:
         # a path that bends take memory with the sixth power of their size
         least = _THIN_QUICK if quick else _THIN
         between, finest = (0.5 * (1 + least),) * 3, (least,) * 3
-        fine_growth = growth
+        fine_growth = min(growth, _FINE_GROWTH_THIN)
     else:
         between, finest = (0.7, 0.5, 0.5), (0.55, 0.5, 0.5)
         fine_growth = min(growth, _FINE_GROWTH)
     return {
         "one level coarser": refined(scene, 1.5, 1.5, 1.5, growth),
         "default": {},
-        _NEXT: refined(scene, *between, growth),
+        _NEXT: refined(scene, *between, fine_growth),
         _REFERENCE: refined(scene, *finest, fine_growth),
     }
 

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 # how far the tip may be beyond the last point of a track that cannot go on, in track spacings
 _BEYOND = 0.5
 # parts of a segment that the tip has passed at each stage; the point is laid at the last
-_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.66, 0.71, 0.94
+_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.66, 0.7, 0.94
 # ... and from there to each further step of it: a footprint that is added up, a component
-# that is read where it is foreseen, or weighed
-_EACH = 0.06
+# that is read where it is foreseen; and in weighing
+_EACH, _EACH_WEIGHED = 0.06, 0.05
 
 
 class TrackGrowth:
@@ -112,7 +112,8 @@ class TrackGrowth:
                     return track
                 track = layer.ask(track)
             elif ahead.row is None:
-                if passed < _WEIGHED + _EACH * len(ahead.columns):
+                done = len(ahead.columns) + (ahead.beyond is not None)
+                if passed < _WEIGHED + _EACH_WEIGHED * done:
                     return track
                 track = layer.weigh(track)
             elif passed >= _LAID:

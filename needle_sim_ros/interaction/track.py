@@ -28,6 +28,29 @@ _EVERY = 4
 _NEAR = (-0.375, -0.125, 0.125, 0.375)
 
 
+class BeyondMesh(NamedTuple):
+    """What the mesh does not show of the response to a force on a point.
+
+    Attributes
+    ----------
+    rows : ndarray, shape ((n + 1) d, d), or None
+        Of the points of a track, its own last, m/N; nothing in 2D.
+    readers : ndarray, shape (r, d), or None
+        Of the readers.
+    """
+
+    rows: Vector | None = None
+    readers: Vector | None = None
+
+    def added(self, row: ResponseRow) -> ResponseRow:
+        """Return a row with it."""
+        if self.rows is not None:
+            row = row._replace(static=row.static + self.rows, near=self.rows)
+        if self.readers is not None:
+            row = row._replace(at_readers=row.at_readers + self.readers, near_read=self.readers)
+        return row
+
+
 class NextPoint(NamedTuple):
     """A point to be laid, as far as it is known.
 
@@ -46,6 +69,8 @@ class NextPoint(NamedTuple):
         Of the response table, and its own.
     columns : tuple of ndarray
         The first columns of its row.
+    beyond : BeyondMesh or None
+        What the mesh does not show of it.
     row : ResponseRow or None
         The row.
     """
@@ -58,6 +83,7 @@ class NextPoint(NamedTuple):
     asked: bool = False
     rows: Rows | None = None
     columns: tuple[Vector, ...] = ()
+    beyond: BeyondMesh | None = None
     row: ResponseRow | None = None
 
 
@@ -228,17 +254,9 @@ class TrackLayer:
     def touch(self, entry: Vector, direction: Vector) -> Track:
         """Start with the cross-section at the entry, perpendicular to a unit direction."""
         row = self._empty.table.row(self.coupling.section(entry, direction))
-        row = self._completed(row, self._empty.points, entry, direction)
+        if self.near is not None:
+            row = BeyondMesh(self.near.row(self._empty.points, entry, direction)).added(row)
         return self._empty._with(entry, row, self.laws)
-
-    def _completed(
-        self, row: ResponseRow, points: Vector, point: Vector, direction: Vector
-    ) -> ResponseRow:
-        """Add what the mesh does not show to a row."""
-        if self.near is None:
-            return row
-        near = self.near.row(points, point, direction)
-        return row._replace(static=row.static + near, near=near)
 
     def foresee(self, track: Track, bevel: float) -> Track:
         """Find out what tells how the tissue is turned at the middle of the last segment.
@@ -317,23 +335,30 @@ class TrackLayer:
     def weigh(self, track: Track) -> Track:
         """Find out how the tissue answers to forces on the next point.
 
-        One component more, and when all are known what else belongs to its row.
+        One component more, then what the mesh does not show, then all of its row.
         """
         ahead, table = track.ahead, track.table
         assert ahead is not None and ahead.footprint is not None
-        known = ahead.columns
-        if len(known) == table.compliance.dimension:
-            assert ahead.point is not None and ahead.heading is not None
-            row = table.row(ahead.footprint, known, ahead.rows)
-            row = self._completed(row, track.points, ahead.point, ahead.heading)
-            if self.near is not None and len(self._read):
-                last = track.points[-1]
-                read = self.near.at(self._read, last, ahead.point, 2 * ahead.point - last)
-                row = row._replace(at_readers=row.at_readers + read, near_read=read)
-            return track._replace(ahead=ahead._replace(row=row))
-        rows = ahead.rows or table.rows.joined(ahead.footprint)
-        known = (*known, table.column(ahead.footprint, len(known), rows))
-        return track._replace(ahead=ahead._replace(rows=rows, columns=known))
+        footprint, known = ahead.footprint, ahead.columns
+        if len(known) < table.compliance.dimension:
+            rows = ahead.rows or table.rows.joined(footprint)
+            known = (*known, table.column(footprint, len(known), rows))
+            ahead = ahead._replace(rows=rows, columns=known)
+        elif ahead.beyond is None and self.near is not None:
+            ahead = ahead._replace(beyond=self._beyond_mesh(self.near, track))
+        else:
+            row = table.row(footprint, known, ahead.rows)
+            ahead = ahead._replace(row=(ahead.beyond or BeyondMesh()).added(row))
+        return track._replace(ahead=ahead)
+
+    def _beyond_mesh(self, near: NearField, track: Track) -> BeyondMesh:
+        """Return what the mesh does not show of the next point."""
+        ahead, last = track.ahead, track.points[-1]
+        assert ahead is not None and ahead.point is not None and ahead.heading is not None
+        rows = near.row(track.points, ahead.point, ahead.heading)
+        if not len(self._read):
+            return BeyondMesh(rows)
+        return BeyondMesh(rows, near.at(self._read, last, ahead.point, 2 * ahead.point - last))
 
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""

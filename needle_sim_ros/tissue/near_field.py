@@ -33,6 +33,9 @@ _HAT_WEIGHT = 0.5 * _GAUSS_WEIGHT * (1 - _SHARES)
 _RING = np.pi / 3 * np.arange(6)
 _AROUND = np.column_stack([np.cos(_RING), np.sin(_RING)])
 _DISC = (np.sqrt(_SHARES)[:, None, None] * _AROUND).reshape(-1, 2)
+# weights of the places of two discs, the wide one taken off, on both sides of a hat
+_DISC_WEIGHT = np.array([1.0, -1.0]).repeat(len(_DISC)) / len(_DISC)
+_HAT_PLACES_WEIGHT = (_HAT_WEIGHT.repeat(2)[:, None] * _DISC_WEIGHT).ravel()
 
 
 def disc_radius(scene: Scene) -> float:
@@ -82,20 +85,26 @@ class NearField:
     def __init__(self, scene: Scene) -> None:
         self._radius, self.wide = scene.needle.radius, disc_radius(scene)
         self._material = MaterialField(scene)
+        # where there are no regions nothing has to be looked up
+        self._uniform = None if scene.tissue.regions else self._elastic_at(np.zeros((1, 3)))
         spacing = self._spacing = scene.solver.track_spacing
         self._lags = math.ceil(_REACH * self.wide / spacing) + 2
         # means over a section and the hats about it, at lags of an eighth of a spacing
         step = spacing / _PIECES
         count = (self._lags + 4) * _PIECES
-        self._at = step * np.arange(count + 1)
+        self._step, self._reach = step, step * count
         x, weight = np.polynomial.legendre.leggauss(_ON_PIECE)
         starts = step * np.arange(-count - 2 * _PIECES, count + 2 * _PIECES)
         places = (starts[:, None] + 0.5 * step * (x + 1)).ravel()
         weights = np.tile(0.5 * step * weight, len(starts))
         excess = _distances(np.abs(places), self._radius) - _distances(np.abs(places), self.wide)
         self._hat = np.array(
-            [(excess * (weights * _hat(places - s, spacing))).sum(1) for s in self._at]
+            [
+                (excess * (weights * _hat(places - s * step, spacing))).sum(1)
+                for s in range(count + 1)
+            ]
         )
+        self._rise = np.diff(self._hat, axis=0)
         lags = spacing * np.arange(self._lags)
         self._hats = np.array(
             [(excess * (weights * _hats(places - s, spacing))).sum(1) for s in lags]
@@ -127,7 +136,7 @@ class NearField:
             kelvin[0] = self._hat[count * _PIECES]
         apart = np.vstack([point - points[first:], direction])
         apart /= np.sqrt((apart**2).sum(axis=1))[:, None]
-        aside, along = self._compliance(kelvin, np.vstack([points[first:], point]))
+        aside, along = self._compliance(kelvin, np.vstack([points[first:], point]), point)
         across = aside[:, None, None] * np.eye(3)
         added[first:] = across + (along - aside)[:, None, None] * apart[:, :, None] * apart[:, None]
         return added.reshape(-1, 3)
@@ -153,16 +162,15 @@ class NearField:
             return added.reshape(-1, 3)
         sides = np.array([before, after]) - point
         along = (point + _SHARES[:, None, None] * sides).reshape(-1, 3)
-        weights = np.repeat(_HAT_WEIGHT, 2 * len(_DISC)) / len(_DISC)
-        disc = _DISC @ normals(sides[1] / np.linalg.norm(sides[1]))
-        factor, bulk = self._elastic_between(np.vstack([places[close], point]))
-        summed, outer = np.zeros(len(close)), np.zeros((len(close), 3, 3))
-        for radius, sign in ((self._radius, 1.0), (self.wide, -1.0)):
-            d = places[close][:, None] - (along[:, None] + radius * disc).reshape(-1, 3)
-            square = (d * d).sum(axis=2)
-            share = sign * weights / np.sqrt(square)
-            summed += share.sum(axis=1)
-            outer += (d * (share / square)[:, :, None]).transpose(0, 2, 1) @ d
+        disc = _DISC @ normals(sides[1] / math.sqrt(float(sides[1] @ sides[1])))
+        discs = np.concatenate([self._radius * disc, self.wide * disc])
+        factor, bulk = self._elastic_between(places[close], point)
+        d = places[close][:, None] - (along[:, None] + discs).reshape(-1, 3)
+        square = (d * d).sum(axis=2)
+        share = _HAT_PLACES_WEIGHT / np.sqrt(square)
+        summed = share.sum(axis=1)
+        share /= square
+        outer = (d * share[:, :, None]).transpose(0, 2, 1) @ d
         added[close] = (factor * bulk * summed)[:, None, None] * np.eye(3)
         added[close] += factor[:, None, None] * outer
         return added.reshape(-1, 3)
@@ -184,28 +192,44 @@ class NearField:
         count = min(len(points), len(forces))  # a point laid just now bears nothing yet
         first = max(0, count - self._lags)
         points, forces = points[first:count], forces[first:count]
-        change = np.zeros(3)
-        for end, sign in ((place + length * direction, 1.0), (place, -1.0)):
-            lag = np.abs((end - points) @ direction)
-            kelvin = np.array([np.interp(lag, self._at, f, right=0.0) for f in self._hat.T]).T
-            aside, along = self._compliance(kelvin, points)
-            axial = forces @ direction
-            change += sign * (aside @ forces + ((along - aside) @ axial) * direction)
-        return change / length
+        if count == 0:
+            return np.zeros(3)
+        ends = np.array([place + length * direction, place])
+        lag = np.abs(ends @ direction - (points @ direction)[:, None])
+        kelvin = self._kelvin(lag)
+        aside, along = self._compliance(kelvin[:, 0] - kelvin[:, 1], points, points[-1])
+        axial = (along - aside) @ (forces @ direction)
+        return np.asarray((aside @ forces + axial * direction) / length)
 
-    def _compliance(self, kelvin: Vector, places: Vector) -> tuple[Vector, Vector]:
-        """Return the compliance across and along the track, (n,), between places and the last."""
-        material = self._material(places.T)
-        own = _elastic(material.lame, material.shear)
-        factor, bulk = 0.5 * (own + own[:, -1:])
+    def _kelvin(self, lag: Vector) -> Vector:
+        """Interpolate between the means over a section and the hats about it, (..., 3), 1/m."""
+        places = lag * (1.0 / self._step)
+        whole = np.minimum(places.astype(np.intp), len(self._rise) - 1)
+        found = self._hat[whole] + (places - whole)[..., None] * self._rise[whole]
+        found[lag > self._reach] = 0.0
+        return np.asarray(found)
+
+    def _compliance(self, kelvin: Vector, places: Vector, other: Vector) -> tuple[Vector, Vector]:
+        """Return the compliance across and along the track, (n,), of places to another one."""
+        factor, bulk = self._elastic_between(places, other)
         across = factor * (bulk * kelvin[:, 0] + kelvin[:, 1])
         return across, factor * (bulk * kelvin[:, 0] + kelvin[:, 2])
 
-    def _elastic_between(self, places: Vector) -> Vector:
-        """Return the constants of Kelvin's solution from the last place to others, (2, n - 1)."""
-        material = self._material(places.T)
-        own = _elastic(material.lame, material.shear)
+    def _elastic_between(self, places: Vector, other: Vector) -> Vector:
+        """Return the constants of Kelvin's solution from a place (3,) to others (n, 3).
+
+        Shape (2, n), or (2, 1) where they are the same everywhere.
+        """
+        if self._uniform is not None:
+            return self._uniform
+        own = self._elastic_at(np.vstack([places, other]))
         return np.asarray(0.5 * (own[:, :-1] + own[:, -1:]))
+
+    def _elastic_at(self, places: Vector) -> Vector:
+        """Return 1 / (16 pi G (1 - nu)) and 3 - 4 nu at places (n, 3), shape (2, n)."""
+        material = self._material(places.T)
+        ratio = material.lame / (2 * (material.lame + material.shear))
+        return np.array([1 / (16 * math.pi * material.shear * (1 - ratio)), 3 - 4 * ratio])
 
     def _entry(self, point: Vector, direction: Vector) -> Vector:
         """Return what is added for a cross-section in the surface, (3, 3), m/N.
@@ -219,12 +243,6 @@ class NearField:
         ratio = lame / (2 * (lame + shear))
         normal = 8 * (1 - ratio) / (3 * math.pi**2 * shear) * (1 / self._radius - 1 / self.wide)
         return normal * np.diag([(2 - ratio) / (2 - 2 * ratio)] * 2 + [1.0])
-
-
-def _elastic(lame: Vector, shear: Vector) -> Vector:
-    """Return 1 / (16 pi G (1 - nu)) and 3 - 4 nu, shape (2, n)."""
-    ratio = lame / (2 * (lame + shear))
-    return np.array([1 / (16 * math.pi * shear * (1 - ratio)), 3 - 4 * ratio])
 
 
 def _hat(offset: Vector, spacing: float) -> Vector:
