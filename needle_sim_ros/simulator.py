@@ -31,6 +31,9 @@ from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, 
 from needle_sim_ros.tissue.near_field import NearField, disc_radius
 from needle_sim_ros.tissue.response import ResponseTable
 
+# rows of responses for which there is room from the start, at most
+_MOST_ROWS = 400
+
 
 class Snapshot(NamedTuple):
     """Everything a simulation remembers; made and taken by :class:`Simulator`."""
@@ -71,11 +74,13 @@ class Simulator:
         self.statistics = Statistics()
         self._model, self._factor, self._dynamics = built.model, built.factor, built.dynamics
         self.preparation = built.preparation
-        empty = ResponseTable(self._dynamics.compliance, self._dynamics.modes)
-        self._empty = empty
         coupling = Coupling(self._model, disc_radius(scene))
         laws = Laws(scene)
         near = NearField(scene) if coupling.radius > scene.needle.radius else None
+        empty = ResponseTable(
+            self._dynamics.compliance, self._dynamics.modes, _rows(scene), near is not None
+        )
+        self._empty = empty
         self._markers = np.array(scene.markers, dtype=float).reshape(-1, 3)
         spacing = scene.solver.track_spacing
         layer = TrackLayer(coupling, laws, empty, spacing, near, self._markers)
@@ -374,3 +379,9 @@ class Simulator:
         self.scene = scene
         self._state = self._state._replace(contact=contact, scene=scene)
         self._observation = None
+
+
+def _rows(scene: Scene) -> int:
+    """Return how many track points a needle has that is driven straight in, as far as it goes."""
+    depth = min(scene.needle.length, scene.tissue.size[-1])
+    return min(math.ceil(depth / scene.solver.track_spacing) + 2, _MOST_ROWS)

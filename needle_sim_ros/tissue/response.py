@@ -23,35 +23,39 @@ Axes = tuple[Axis, ...]
 
 
 class _Store:
-    """Arrays with room for rows; `length` rows are taken."""
+    """Arrays with room for rows; `length` rows are taken.
 
-    def __init__(self, readers: int, d: int, modes: int | None) -> None:
+    What is there from the start is written to, so that no tick has to ask for the memory.
+    """
+
+    def __init__(self, readers: int, d: int, modes: int | None, room: int, near: bool) -> None:
         self.length = 0
         self.d = d
-        self.residual = np.zeros((0, 0))
-        self.between = self.residual if modes is None else np.zeros((0, 0))
-        self.read = np.zeros((readers, 0))
-        self.modal = np.zeros((modes or 0, 0))
+        size = d * room
+        self.residual = np.full((size, size), 0.0)
+        self.between = self.residual if modes is None else np.full((size, size), 0.0)
+        self.read = np.full((readers, size), 0.0)
+        self.modal = np.full((modes or 0, size), 0.0)
         # of `static` and `read`, what the mesh does not show
-        self.near: Vector | None = None
-        self.near_read: Vector | None = None
+        self.near = np.full((size, size), 0.0) if near else None
+        self.near_read = np.full((readers, size), 0.0) if near else None
 
     def with_room(self, count: int) -> _Store:
         """Return this store, or a wider or separate one that holds its first `count` rows."""
-        capacity = len(self.residual) // self.d
+        capacity, taken = len(self.residual) // self.d, self.d * count
         if self.length == count and count < capacity:
             return self
         size = self.d * (capacity if count < capacity else max(32, 2 * capacity))
         twin = _Store.__new__(_Store)
         twin.length, twin.d = count, self.d
-        twin.residual = _padded(self.residual, (size, size))
+        twin.residual = _widened(self.residual, size, taken, taken)
         same = self.between is self.residual
-        twin.between = twin.residual if same else _padded(self.between, (size, size))
-        twin.read = _padded(self.read, (len(self.read), size))
-        twin.modal = _padded(self.modal, (len(self.modal), size))
-        twin.near = None if self.near is None else _padded(self.near, (size, size))
+        twin.between = twin.residual if same else _widened(self.between, size, taken, taken)
+        twin.read = _widened(self.read, size, taken)
+        twin.modal = _widened(self.modal, size, taken)
+        twin.near = None if self.near is None else _widened(self.near, size, taken, taken)
         near = self.near_read
-        twin.near_read = None if near is None else _padded(near, (len(near), size))
+        twin.near_read = None if near is None else _widened(near, size, taken)
         return twin
 
 
@@ -136,6 +140,10 @@ class ResponseTable:
     compliance : NodalCompliance
     modes : ModalPart, optional
         Lowest modes that reduced dynamics moves; they amend the compliance.
+    room : int
+        Rows that will come; there may be more.
+    near : bool
+        Whether rows have what the mesh does not show.
 
     Attributes
     ----------
@@ -143,15 +151,20 @@ class ResponseTable:
         Number of rows n.
     """
 
-    def __init__(self, compliance: NodalCompliance, modes: ModalPart | None = None) -> None:
+    def __init__(
+        self,
+        compliance: NodalCompliance,
+        modes: ModalPart | None = None,
+        room: int = 0,
+        near: bool = False,
+    ) -> None:
         self.compliance = compliance
         self.modes = modes
         self.count = 0
         self._axes: Axes | None = None
         self._blocks: dict[tuple[int, int], Vector] = {}
-        self._store = _Store(
-            compliance.readers, compliance.dimension, None if modes is None else modes.count
-        )
+        count = None if modes is None else modes.count
+        self._store = _Store(compliance.readers, compliance.dimension, count, room, near)
         self.rows = Rows()
 
     def shares(self, other: ResponseTable, rows: int) -> bool:
@@ -278,13 +291,11 @@ class ResponseTable:
         store.length = count + 1
         own, wide = slice(d * count, d * count + d), d * (count + 1)
         if row.near is not None:
-            if store.near is None:
-                store.near = np.zeros_like(store.residual)
+            assert store.near is not None
             store.near[:wide, own] = row.near
             store.near[own, :wide] = row.near.T
         if row.near_read is not None:
-            if store.near_read is None:
-                store.near_read = np.zeros_like(store.read)
+            assert store.near_read is not None
             store.near_read[:, own] = row.near_read
         residual, at_readers = row.static, row.at_readers
         modes = self.modes
@@ -328,9 +339,10 @@ class ResponseTable:
         return np.stack(columns, axis=1)
 
 
-def _padded(array: Vector, shape: tuple[int, ...]) -> Vector:
-    wider = np.zeros(shape)
-    wider[tuple(slice(n) for n in array.shape)] = array
+def _widened(array: Vector, size: int, columns: int, rows: int | None = None) -> Vector:
+    """Return the first columns of an array, (rows of it, size), or of a square one a part."""
+    wider = np.zeros((len(array) if rows is None else size, size))
+    wider[:rows, :columns] = array[:rows, :columns]
     return wider
 
 

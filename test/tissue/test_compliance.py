@@ -77,6 +77,16 @@ def test_responses_are_direct_solves(model, compliance, footprints):
             np.testing.assert_allclose(table.at_readers()[:, column], read, atol=1e-10 * scale)
 
 
+@pytest.mark.parametrize("room", [3, 15, 200])
+def test_room_is_a_matter_of_memory_only(compliance, footprints, room):
+    """Enough of it is never asked for again; more rows than there is room for are no matter."""
+    tissue = compliance()
+    empty = ResponseTable(tissue, room=room)
+    table = with_rows(empty, footprints)
+    np.testing.assert_array_equal(table.between(), filled(tissue, footprints).between())
+    assert (table.store is empty.store) == (room > len(footprints) - 1)
+
+
 def test_reciprocity(compliance, footprints):
     """u_a of row k under a force b on row l equals u_b of l under a on k (Maxwell-Betti)."""
     between = filled(compliance(), footprints).between()
