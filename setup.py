@@ -46,6 +46,7 @@ setup(
         compiled("interaction/_resultants"),
         compiled("ros/_wait"),
         compiled("tissue/_grid"),
+        compiled("tissue/_modal"),
         compiled("tissue/_products"),
     ],
     install_requires=[

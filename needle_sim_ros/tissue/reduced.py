@@ -17,11 +17,11 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import NodalCompliance
-from needle_sim_ros.tissue.dynamics import expand, flushed
+from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.factor import Factor
+from needle_sim_ros.tissue.modal_step import Coefficients, loaded, moved, unloaded
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.newmark import NewmarkRule
-from needle_sim_ros.tissue.products import product
 from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
 
 
@@ -33,33 +33,17 @@ class ModalMotion(NamedTuple):
     forces: Vector
 
 
-class _Coefficients(NamedTuple):
-    """A rule, linear in the state, as numbers.
-
-    Modal displacement is ``carry`` of the old (u, v, a) plus the response to forces; the
-    velocity and acceleration are ``rates`` of the old state and it; the filter takes
-    ``filtered`` of itself and ``forces`` of the last forces.
-    """
-
-    carry: Vector
-    rates: Vector
-    filtered: float
-    forces: float
-
-
 class ModalPrediction(NamedTuple):
     """Modal displacement and filtered forces at the end of a step without contact forces."""
 
     u: Vector
     filtered: Vector
-    rule: _Coefficients
+    rule: Coefficients
 
     def rows(self, table: ResponseTable) -> Vector:
         """Return the displacement of the rows of a table, shape (n, d)."""
-        filtered = _widened(self.filtered, table.count)
-        moved = product(table.residual(), filtered.ravel())
-        moved += product(table.modal().T, self.u)
-        return np.asarray(moved.reshape(filtered.shape))
+        rows = moved(table.residual(), table.modal(), self.filtered, self.u)
+        return rows.reshape(table.count, -1)
 
 
 def lowest_modes(model: TissueModel, factor: Factor, count: int) -> tuple[Vector, Vector]:
@@ -114,13 +98,12 @@ class ReducedNewmark:
         )
         self._settling = self._coefficients(rule.settling(), 1.0 - self._share, 0.0)
         nodal = np.stack([expand(model, shape) for shape in shapes.T], axis=2)
-        self._read_shapes = np.asarray(compliance.reader_matrix @ shapes)
-        self.modes = ModalPart(
-            nodal, self._read_shapes, self._dynamic, self._flexibility, self._share
-        )
+        read_shapes = np.asarray(compliance.reader_matrix @ shapes)
+        self.modes = ModalPart(nodal, read_shapes, self._dynamic, self._flexibility, self._share)
+        self._at_readers = np.ascontiguousarray(read_shapes.T)
         self._shapes = shapes
 
-    def _coefficients(self, rule: NewmarkRule, filtered: float, forces: float) -> _Coefficients:
+    def _coefficients(self, rule: NewmarkRule, filtered: float, forces: float) -> Coefficients:
         """Read off unit states what a rule carries on."""
         one, zero = np.ones(1), np.zeros(1)
         units = [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
@@ -129,7 +112,8 @@ class ReducedNewmark:
         kept = [rule.rates(zero, *unit) for unit in units]
         of_old = np.array(kept)[:, :, 0].T
         of_new = np.array(rule.rates(one, zero, zero, zero))
-        return _Coefficients(np.array(carry), np.hstack([of_old, of_new]), filtered, forces)
+        rates = np.ascontiguousarray(np.hstack([of_old, of_new]))
+        return Coefficients(np.array(carry), rates, filtered, forces)
 
     @property
     def settles(self) -> bool:
@@ -144,25 +128,18 @@ class ReducedNewmark:
     def predict(self, state: ModalMotion, settling: bool = False) -> ModalPrediction:
         """Move the modes without load at the end of the step (Eq. 4, mode by mode)."""
         rule = self._settling if settling else self._newmark
-        u = (rule.carry * state.modal).sum(axis=0)
-        filtered = rule.filtered * state.filtered
-        filtered += rule.forces * state.forces
+        u, filtered = unloaded(rule, state.modal, state.filtered, state.forces)
         return ModalPrediction(u, filtered, rule)
 
     def complete(
         self, state: ModalMotion, prediction: ModalPrediction, table: ResponseTable, forces: Vector
     ) -> ModalMotion:
         """Load the modes and the filter with the contact forces (Eqs. 2 and 3)."""
-        whole = np.empty((4, len(prediction.u)))
-        whole[:3] = state.modal
-        np.multiply(self._dynamic, product(table.modal(), forces.ravel()), out=whole[3])
-        whole[3] += prediction.u
-        modal = np.empty_like(state.modal)
-        modal[0] = whole[3]
-        np.matmul(prediction.rule.rates, whole, out=modal[1:])
-        filtered = self._share * forces
-        filtered += _widened(prediction.filtered, table.count)
-        return ModalMotion(flushed(modal), flushed(filtered), forces)
+        begun = state.modal, prediction.u, prediction.filtered
+        modal, filtered = loaded(
+            prediction.rule, self._dynamic, self._share, table.modal(), forces, begun
+        )
+        return ModalMotion(modal, filtered, forces)
 
     def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
         filtered = _widened(state.filtered, table.count)
@@ -186,10 +163,7 @@ class ReducedNewmark:
 
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""
-        filtered = _widened(state.filtered, table.count)
-        moved = product(self._read_shapes, state.modal[0])
-        moved += product(table.at_readers(), filtered.ravel())
-        return moved
+        return moved(table.at_readers(), self._at_readers, state.filtered, state.modal[0])
 
     def everywhere(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of all nodes; one solve."""
