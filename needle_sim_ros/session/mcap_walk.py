@@ -213,15 +213,19 @@ def _cut_chunk(source: Source, position: int) -> Iterator[Piece]:
 
 
 def _next(source: Source, position: int) -> int | None:
-    """Return where the walk can go on after a damaged record."""
+    """Return where the walk can go on after a damaged record.
+
+    At its end, unless a record within proves itself: then it is the length that is damaged.
+    """
     try:
         _, length = _frame(source.read(position, _RECORD.size))
         end = position + _RECORD.size + length
         if end < source.size and _stands(source, end):
-            return end
+            within = _search(source, position + 1, end)
+            return end if within is None else within
     except DamageError:
         pass
-    return _search(source, position + 1)
+    return _search(source, position + 1, source.size)
 
 
 def _stands(source: Source, position: int) -> bool:
@@ -233,11 +237,12 @@ def _stands(source: Source, position: int) -> bool:
     return position + _RECORD.size + length <= source.size
 
 
-def _search(source: Source, position: int) -> int | None:
-    while position < source.size:
-        window = source.read(position, _WINDOW + _OVERLAP)
+def _search(source: Source, position: int, end: int) -> int | None:
+    """Return the first place before an end at which a record proves itself."""
+    while position < end:
+        window = source.read(position, min(_WINDOW, end - position) + _OVERLAP)
         match = _CANDIDATE.search(window)
-        while match is not None:
+        while match is not None and position + match.start() < end:
             try:
                 _record(source, position + match.start())
             except DamageError:

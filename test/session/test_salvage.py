@@ -166,15 +166,19 @@ def test_a_chunk_is_known_without_its_opcode(whole, known, tmp_path):
         assert found == everything, bit
 
 
-def test_an_index_with_a_wrong_length_swallows_no_chunk(whole, known, tmp_path):
+@pytest.mark.parametrize("bit", [9, 12, 13])
+def test_an_index_with_a_wrong_length_swallows_no_chunk(whole, known, tmp_path, bit):
+    """Wherever the wrong length ends, even where it looks as if a record began."""
     data, (everything, _) = bytearray(whole.read_bytes()), known
     with Source(whole) as source:
         indices = [piece for piece in walk(source) if piece.opcode == Opcode.MESSAGE_INDEX]
-    data[indices[40].offset + 2] ^= 1 << 4  # 4096 bytes longer
-    path = tmp_path / "longer.mcap"
-    path.write_bytes(data)
-    result = salvage([path], tmp_path / "out")
-    assert set(messages_of(new_file(result.folder))) == everything
+    for k, index in enumerate(indices[:-40:6]):
+        damaged = bytearray(data)
+        damaged[index.offset + 1 + bit // 8] ^= 1 << bit % 8
+        path = tmp_path / "longer.mcap"
+        path.write_bytes(damaged)
+        result = salvage([path], tmp_path / f"out{k}")
+        assert set(messages_of(new_file(result.folder))) == everything, k
 
 
 def test_a_lost_chunk_is_counted(whole, known, tmp_path):
