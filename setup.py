@@ -43,7 +43,7 @@ setup(
     # The hot parts of a tick; where there is no compiler, numpy does the same.
     ext_modules=[
         compiled("interaction/_balance"),
-        compiled("interaction/_resultants"),
+        compiled("interaction/_readings"),
         compiled("ros/_wait"),
         compiled("tissue/_grid"),
         compiled("tissue/_modal"),

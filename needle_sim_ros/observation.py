@@ -11,7 +11,7 @@ import numpy as np
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
-from needle_sim_ros.interaction.resultants import Resultants, resultants
+from needle_sim_ros.interaction.readings import Readings, readings
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.lazily import lazily
 from needle_sim_ros.needle import beam
@@ -62,15 +62,10 @@ class Observation:
         return np.asarray(-(contact.lateral @ per_force.T))
 
     @lazily
-    def _sums(self) -> Resultants:
-        return resultants(self._contact, self._pose)
-
-    @lazily
-    def _tip_bent(self) -> list[float]:
-        # all forces act between clamp and tip: a = s_k, b = L in the flexibility
+    def readings(self) -> Readings:
+        """What sensors on the needle read, as tuples; the members below give them as arrays."""
         needle = self._scene.needle
-        scale, reach = -1.0 / (6.0 * needle.flexural_rigidity), 3.0 * needle.length
-        return [scale * (reach * square - cube) for _, _, square, cube in self._sums.moments]
+        return readings(self._contact, self._pose, needle.length, needle.flexural_rigidity)
 
     def _world(self, vectors: Vector) -> Vector:
         """Put vectors (..., d) of the mesh into the world (..., 3)."""
@@ -81,33 +76,20 @@ class Observation:
         world[..., 2] = vectors[..., 1]
         return world
 
-    def _in_base(self, lateral: list[float], axial: float) -> Vector:
-        """Return a vector (3,) of the base frame from its components."""
-        x, y = lateral if len(lateral) == 2 else (lateral[0], 0.0)
-        return np.array([x, y, axial])
-
     @lazily
     def tip_deflection(self) -> Vector:
         """Deflection of the tip from the undeflected needle, base frame, z = 0, (3,), m."""
-        return self._in_base(self._tip_bent, 0.0)
+        return np.array(self.readings.tip_deflection)
 
     @lazily
     def tip_position(self) -> Vector:
         """Position of the tip, tissue frame, (3,), m."""
-        *lateral, axial = self._pose.terms
-        place = self._pose.origin.tolist()
-        for i, c in axial:
-            place[i] += c * self._scene.needle.length
-        for bent, axis in zip(self._tip_bent, lateral, strict=True):
-            for i, c in axis:
-                place[i] += c * bent
-        return np.array(place if len(place) == 3 else [place[0], 0.0, place[1]])
+        return np.array(self.readings.tip_position)
 
     @lazily
     def tip_slope(self) -> Vector:
         """Slopes of the deflected needle at the tip along base x and y, (2,)."""
-        scale = -1.0 / (2.0 * self._scene.needle.flexural_rigidity)
-        return self._in_base([scale * square for _, _, square, _ in self._sums.moments], 0.0)[:2]
+        return np.array(self.readings.tip_slope)
 
     @lazily
     def base_force(self) -> Vector:
@@ -115,32 +97,17 @@ class Observation:
 
         Pushing in gives z < 0.
         """
-        axial = -(self.friction_force + self._contact.tip)
-        return self._in_base([-total for total, *_ in self._sums.moments], axial)
+        return np.array(self.readings.base_force)
 
     @lazily
     def base_torque(self) -> Vector:
         """Torque of the tissue on the needle about the base, base frame, (3,), N m."""
-        contact, sums = self._contact, self._sums
-        if contact.active == 0:
-            return np.zeros(3)
-        # r x F with r = (lateral, s) and F = (-q, -f): moments of both about x and y;
-        # friction on what is ahead of the tip acts at the tip
-        ahead = sums.beyond + contact.tip
-        moment = [
-            rub - turn + bent * ahead
-            for rub, (_, turn, _, _), bent in zip(
-                sums.rubbing, sums.moments, self._tip_bent, strict=True
-            )
-        ]
-        if len(moment) == 1:
-            return np.array([0.0, moment[0], 0.0])
-        return np.array([-moment[1], moment[0], sums.twist])
+        return np.array(self.readings.base_torque)
 
-    @lazily
+    @property
     def friction_force(self) -> float:
         """Sum of the axial friction on the tissue, positive when pushing in, N."""
-        return self._sums.friction
+        return self.readings.friction_force
 
     @property
     def tip_force(self) -> float:

@@ -23,7 +23,7 @@ typedef struct {
     if (into == -1.0 && PyErr_Occurred())                                                         \
         return -1;
 
-static int read(Buffers *all, PyObject *const *arguments, Readings *out)
+static int work_out(Buffers *all, PyObject *const *arguments, Readings *out)
 {
     double *s, *q, *f, *softness, *points, *moved, *lateral, origin[MOST_AXES], axial[MOST_AXES];
     TAKE(s, 0, "d", 0, 0)
@@ -101,7 +101,7 @@ static PyObject *readings(PyObject *module, PyObject *const *arguments, Py_ssize
     Readings r;
     if (given != ARGUMENTS)
         return PyErr_Format(PyExc_TypeError, "%d arguments, not %zd", ARGUMENTS, given);
-    int failed = read(&all, arguments, &r) < 0;
+    int failed = work_out(&all, arguments, &r) < 0;
     release(&all);
     if (failed)
         return NULL;

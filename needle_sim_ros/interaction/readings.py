@@ -74,11 +74,11 @@ def readings(contact: ContactState, pose: BasePose, length: float, rigidity: flo
         track.points,
         contact.moved,
     )
-    if not all([each.flags.c_contiguous for each in arrays]):
-        arrays = tuple([np.ascontiguousarray(each) for each in arrays])
-    found = _readings.readings(
-        *arrays, pose.lateral, pose.origin, pose.axial, contact.tip, length, rigidity
-    )
+    others = (pose.lateral, pose.origin, pose.axial, contact.tip, length, rigidity)
+    try:
+        found = _readings.readings(*arrays, *others)
+    except (ValueError, BufferError):  # strided, which a tick's own arrays are not
+        found = _readings.readings(*[np.ascontiguousarray(each) for each in arrays], *others)
     return Readings._make(found)
 
 

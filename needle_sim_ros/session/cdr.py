@@ -82,10 +82,12 @@ def marker_cloud(
     """
     names = ("x", "y", "z", "dx", "dy", "dz", "id")
     step = 4 * len(names)
+    pack_stamp = struct.Struct("<iI").pack_into
     fields = [(name, 4 * k, _UINT32 if name == "id" else _FLOAT32) for k, name in enumerate(names)]
-    cache: dict[int, tuple[bytes, NDArray[np.void]]] = {}
+    cache: dict[int, tuple[bytearray, NDArray[np.float32], NDArray[np.float32]]] = {}
 
-    def layout(n: int) -> tuple[bytes, NDArray[np.void]]:
+    def message(n: int) -> tuple[bytearray, NDArray[np.float32], NDArray[np.float32]]:
+        """Return a message of n points, and where their positions and displacements go."""
         body = bytearray(8)  # the stamp
         _put_string(body, frame_id)
         _put(body, "<II", 4, 1, n)
@@ -97,22 +99,24 @@ def marker_cloud(
             _put(body, "<I", 4, 1)
         _put(body, "<B", 1, 0)
         _put(body, "<III", 4, step, step * n, step * n)
-        points = np.zeros(n, dtype=[("position", "<f4", 3), ("moved", "<f4", 3), ("id", "<u4")])
-        points["id"] = np.arange(n)
-        return bytes(body[8:]), points
+        begin = len(ENCAPSULATION) + len(body)
+        whole = bytearray(ENCAPSULATION + body + bytes(step * n) + b"\x01")
+        words = np.frombuffer(whole, "<u4", len(names) * n, begin).reshape(n, len(names))
+        words[:, 6] = np.arange(n)
+        numbers = words.view("<f4")
+        return whole, numbers[:, :3], numbers[:, 3:6]
 
     def encode(
         stamp: int, positions: NDArray[np.float64], displacements: NDArray[np.float64]
     ) -> bytes:
         n = len(positions)
         if n not in cache:
-            cache[n] = layout(n)
-        middle, points = cache[n]
-        if n:
-            points["position"] = positions
-            points["moved"] = displacements
-        head = struct.pack("<4siI", ENCAPSULATION, *divmod(stamp, _SECOND))
-        return b"".join((head, middle, points.tobytes(), b"\x01"))
+            cache[n] = message(n)
+        whole, where, moved = cache[n]
+        pack_stamp(whole, len(ENCAPSULATION), *divmod(stamp, _SECOND))
+        where[...] = positions
+        moved[...] = displacements
+        return bytes(whole)
 
     return encode
 

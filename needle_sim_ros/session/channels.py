@@ -90,9 +90,9 @@ def output_encoders(tissue_frame: str, base_frame: str) -> dict[Channel, Encoder
         return processes[name]
 
     return {
-        TIP_DEFLECTION: lambda t, o: vector(t, o.tip_deflection.tolist()),
-        TIP_POSE: lambda t, o: pose(t, o.tip_position.tolist() + tip_orientation(o)),
-        BASE_WRENCH: lambda t, o: wrench(t, o.base_force.tolist() + o.base_torque.tolist()),
+        TIP_DEFLECTION: lambda t, o: vector(t, o.readings.tip_deflection),
+        TIP_POSE: lambda t, o: pose(t, (*o.readings.tip_position, *tip_orientation(o))),
+        BASE_WRENCH: lambda t, o: wrench(t, o.readings.base_force + o.readings.base_torque),
         TISSUE_MARKERS: lambda t, o: cloud(t, o.marker_positions, o.marker_displacements),
         INSERTION_DEPTH: lambda t, o: cdr.float64(o.insertion_depth),
         PROCESS: process,
@@ -104,7 +104,7 @@ def output_encoders(tissue_frame: str, base_frame: str) -> dict[Channel, Encoder
 
 def tip_orientation(observation: Observation) -> list[float]:
     """Return the quaternion x y z w of the tip: +z along the deflected needle there."""
-    sx, sy = observation.tip_slope.tolist()
+    sx, sy = observation.readings.tip_slope
     x, y, z, w = observation.base_orientation.tolist()
     slope = math.hypot(sx, sy)
     if slope == 0.0:
