@@ -27,6 +27,8 @@ def main(args: list[str] | None = None, managed: bool = False) -> int:
     # Threads of the linear algebra library cost more than they bring at these sizes, and
     # hold up ticks by milliseconds; it reads this when numpy is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Fast DDS would send to every subscriber within the tick; another thread can.
+    os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
     import rclpy  # after the handlers: a signal during this import ends the node cleanly too
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
