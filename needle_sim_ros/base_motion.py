@@ -45,12 +45,18 @@ class BaseMotion(NamedTuple):
         Rotation vector of the tick, tissue frame, rad.
     rate : tuple of float
         Velocity, m/s, and turning rate, rad/s, along x y z.
+    place : tuple of float
+        The position once more.
+    length : float
+        Of the way, m.
     """
 
     position: Vector
     orientation: Vector
     turning: Vector
     rate: tuple[float, ...]
+    place: tuple[float, float, float]
+    length: float
 
 
 AT_REST = (0.0,) * 6
@@ -72,22 +78,24 @@ def commanded(command: BaseCommand, position: Vector, orientation: Vector, dt: f
         turning = dt * command.angular_velocity
         quaternion = multiply(from_rotation_vector(turning), orientation)
         quaternion = quaternion / np.linalg.norm(quaternion)
-    x, y, z = after.tolist()
+    x, y, z = place = tuple(after.tolist())
     if not math.isfinite(x + y + z):
         raise CommandError("the command takes the base to a place that is not finite")
     a, b, c = position.tolist()
+    p, q, r = x - a, y - b, z - c
     u, v, w = (0.0, 0.0, 0.0) if turning is _NO_TURN else turning.tolist()
-    rate = ((x - a) / dt, (y - b) / dt, (z - c) / dt, u / dt, v / dt, w / dt)
-    return BaseMotion(after, quaternion, turning, rate)
+    rate = (p / dt, q / dt, r / dt, u / dt, v / dt, w / dt)
+    return BaseMotion(after, quaternion, turning, rate, place, math.hypot(p, q, r))
 
 
-def part_way(motion: BaseMotion, position: Vector, orientation: Vector, share: float) -> BaseMotion:
-    """Return where the base is after a share of its motion in a tick."""
+def part_way(
+    motion: BaseMotion, position: Vector, orientation: Vector, share: float
+) -> tuple[Vector, Vector]:
+    """Return position and orientation of the base after a share of its motion in a tick."""
     place = position + share * (motion.position - position)
-    turned = motion.orientation
-    if turned is not orientation:
-        turned = multiply(from_rotation_vector(share * motion.turning), orientation)
-    return motion._replace(position=place, orientation=turned)
+    if motion.orientation is orientation:
+        return place, orientation
+    return place, multiply(from_rotation_vector(share * motion.turning), orientation)
 
 
 def jumps(rate: tuple[float, ...], before: tuple[float, ...] | None, length: float) -> bool:
@@ -117,11 +125,10 @@ def half_spacings(way: float, spacing: float) -> int:
     return max(1, math.ceil(2 * way / spacing - 1e-9))
 
 
-def static_steps(motion: BaseMotion, position: Vector, spacing: float) -> int:
+def static_steps(motion: BaseMotion, spacing: float) -> int:
     """Return into how many steps of half a track spacing, m, a quasi-static tick falls."""
-    advance = math.dist(motion.position, position)
     angle = 0.0 if motion.turning is _NO_TURN else math.hypot(*motion.turning)
-    return max(half_spacings(advance, spacing), math.ceil(angle / _TURN))
+    return max(half_spacings(motion.length, spacing), math.ceil(angle / _TURN))
 
 
 def unsteady_steps(
@@ -168,7 +175,7 @@ def check(
         Orientation before the tick.
     motion : BaseMotion
     """
-    x, y, z = motion.position.tolist()
+    _, y, z = motion.place
     if scene.dimension == 2 and abs(y) > 1e-9:
         raise CommandError(f"a 2D scene moves in the plane y = 0, not to y = {y:g} m")
     turned = motion.orientation is not before
@@ -184,7 +191,7 @@ def check(
     if turned:
         pose = BasePose.of(motion.position, motion.orientation, scene.dimension)
     entry = contact.track.entry
-    aside = _aside((x, y, z), pose, entry)
+    aside = _aside(motion.place, pose, entry)
     # who is that far already may come back
     if aside > scene.needle.length / 2 and aside > _aside(position.tolist(), pose, entry):
         raise CommandError(
@@ -194,9 +201,17 @@ def check(
 
 def _aside(position: Sequence[float], pose: BasePose, entry: list[float]) -> float:
     """Return how far the base is beside the entry, along the axis where it is most, m."""
-    kept = position[::2] if len(entry) == 2 else position
-    away = [a - b for a, b in zip(kept, entry, strict=True)]
-    return max(abs(sum(away[i] * c for i, c in axis)) for axis in pose.terms[:-1])
+    x, y, z = position
+    away: tuple[float, ...] = (x - entry[0], z - entry[1])
+    if len(entry) == 3:
+        away = (x - entry[0], y - entry[1], z - entry[2])
+    farthest = 0.0
+    for axis in pose.terms[:-1]:
+        along = 0.0
+        for i, c in axis:
+            along += away[i] * c
+        farthest = max(farthest, abs(along))
+    return farthest
 
 
 def _check_orientation(quaternion: Vector, dimension: int, touching: bool) -> None:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
@@ -126,6 +128,6 @@ class CoupledStep:
             check_way(contact, far, self._spacing)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
-        if not math.isfinite(float(contact.forces.sum()) + contact.depth):
+        if not math.isfinite(np.add.reduce(contact.forces, axis=None) + contact.depth):
             raise SolverError("the tick gave numbers that are not finite")
         return Coupled(contact, tissue, pose), advance, count

@@ -245,7 +245,7 @@ class Simulator:
         """
         contact = state.contact
         if self._own_step is None:
-            equal = equal_parts(self.scene, contact, motion, state.position, state.rate, dt)
+            equal = equal_parts(self.scene, contact, motion, state.rate, dt)
             return 1, equal, False
         settling = (contact.inserted or contact.touching) and self._dynamics.settles
         jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)

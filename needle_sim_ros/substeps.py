@@ -7,9 +7,6 @@ more often, so that track and friction do not hang on how far the base goes in a
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-
 from needle_sim_ros.base_motion import (
     MOST_UNSTEADY,
     BaseMotion,
@@ -30,6 +27,7 @@ from needle_sim_ros.tissue.response import ResponseTable
 # how far the needle may go in and out in one time step of Newmark's method, in track spacings:
 # beyond, the tissue's motion on the way is not followed
 _FARTHEST_IN, _FARTHEST_OUT = 2, 4
+_AT_ITS_END = (1.0,)
 
 
 class Route:
@@ -51,35 +49,37 @@ class Route:
         Of the way, m.
     """
 
-    __slots__ = ("_motion", "_orientation", "_pose", "_position", "length")
+    __slots__ = ("_end", "_motion", "_orientation", "_pose", "_position", "length")
 
     def __init__(
         self, position: Vector, orientation: Vector, pose: BasePose, motion: BaseMotion
     ) -> None:
         self._position, self._orientation = position, orientation
         self._pose, self._motion = pose, motion
-        self.length = math.dist(motion.position, position)
+        self._end = self._posed(motion.position, motion.orientation)
+        self.length = motion.length
 
     @property
     def advance(self) -> float:
         """Of the way along the needle, m."""
-        return self._pose.ahead(self._pose.moved_to(self._motion.position))
+        return self._pose.ahead(self._end)
 
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""
-        motion = self._motion
-        if share < 1.0:
-            motion = part_way(motion, self._position, self._orientation, share)
-        if motion.orientation is self._orientation:
-            return self._pose.moved_to(motion.position)
-        return BasePose.of(motion.position, motion.orientation, len(self._pose.axial))
+        if share == 1.0:
+            return self._end
+        return self._posed(*part_way(self._motion, self._position, self._orientation, share))
+
+    def _posed(self, position: Vector, orientation: Vector) -> BasePose:
+        if orientation is self._orientation:
+            return self._pose.moved_to(position)
+        return BasePose.of(position, orientation, len(self._pose.axial))
 
 
 def equal_parts(
     scene: Scene,
     contact: ContactState,
     motion: BaseMotion,
-    position: Vector,
     rate: tuple[float, ...] | None,
     dt: float,
 ) -> int:
@@ -90,8 +90,6 @@ def equal_parts(
     scene : Scene
     contact : ContactState
     motion : BaseMotion
-    position : ndarray, shape (3,)
-        Of the base before the tick, m.
     rate : tuple of float or None
         Of the base in the tick before; None where contact began or broke.
     dt : float
@@ -99,7 +97,7 @@ def equal_parts(
     """
     if not (contact.inserted or contact.touching) and motion.rate[2] > 0:
         return 1
-    steps = static_steps(motion, position, scene.solver.track_spacing)
+    steps = static_steps(motion, scene.solver.track_spacing)
     if contact.inserted and steps < MOST_UNSTEADY:
         length = scene.needle.length
         stuck = not contact.status[:-1].all()
@@ -142,15 +140,13 @@ def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
     return half_spacings(way, spacing) if contact.inserted else 1
 
 
-def ends(contact: ContactState, way: float) -> Iterator[float]:
-    """Yield where to find the balance in a part of a tick, as shares of the part.
+def ends(contact: ContactState, way: float) -> tuple[float, ...]:
+    """Return where to find the balance in a part of a tick, as shares of the part.
 
     At its end, and before where the tip is in the middle of a segment of the track.
     """
     share = contact.aiming(way) if contact.inserted else None
-    if share is not None:
-        yield share
-    yield 1.0
+    return _AT_ITS_END if share is None else (share, 1.0)
 
 
 class FreeOnTheWay:

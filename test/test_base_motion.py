@@ -35,10 +35,11 @@ def test_nothing_given_means_standing_still():
 def test_part_way_of_a_turn_turns_in_proportion(rate, share):
     """About y: the quaternion's half angle, the share of the whole."""
     motion = commanded(BaseCommand(angular_velocity=(0.0, rate, 0.0)), PLACE, DOWN, 0.5)
-    here = part_way(motion, PLACE, DOWN, share)
+    place, orientation = part_way(motion, PLACE, DOWN, share)
     angle = 0.5 * 0.5 * rate * share
     expected = [math.cos(angle), 0.0, -math.sin(angle), 0.0]
-    np.testing.assert_allclose(here.orientation, expected, atol=1e-14)
+    np.testing.assert_allclose(orientation, expected, atol=1e-14)
+    np.testing.assert_array_equal(place, PLACE)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +70,6 @@ def test_a_changed_contact_is_a_jump():
 @given(st.floats(1e-6, 0.1))
 def test_static_steps_are_short(advance):
     motion = commanded(BaseCommand(velocity=(0, 0, -advance)), PLACE, DOWN, 1.0)
-    steps = static_steps(motion, PLACE, 1e-3)
+    steps = static_steps(motion, 1e-3)
     assert advance / steps <= 0.5e-3 * (1 + 1e-6)
     assert steps == 1 or advance / (steps - 1) > 0.5e-3 * (1 - 1e-6)

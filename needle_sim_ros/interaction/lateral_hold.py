@@ -149,7 +149,10 @@ class LateralHold:
             along = np.zeros((2 + k - self._first, k))
             along[0], along[1] = self.arclength, 1.0
             along[2:, self._first :] = np.eye(k - self._first)
-            kinds = np.kron(np.eye(m), along).astype(float, copy=False)
+            each = np.zeros((m, len(along), m, k))
+            for a in range(m):
+                each[a, :, a] = along
+            kinds = each.reshape(m * len(along), m * k)
             answers = lapack.dpotrs(self.factor, kinds.T, lower=0)[0].T
             self._change = kinds, answers, np.asarray(kinds @ answers.T)
         return self._change
