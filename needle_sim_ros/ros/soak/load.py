@@ -14,6 +14,7 @@ import numpy as np
 
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros.node_process import NodeProcess
+from needle_sim_ros.ros.soak.host import Reading, Undisturbed, stolen_time, undisturbed
 from needle_sim_ros.ros.soak.processes import Peer, open_files, resident_mb
 from needle_sim_ros.ros.soak.watch import Watch
 from needle_sim_ros.session.reader import read_session
@@ -54,6 +55,7 @@ class Load:
     tick_p99: float = 0.0
     lateness_p99: float = 0.0
     realtime: bool = False
+    undisturbed: Undisturbed = field(default_factory=Undisturbed)
 
 
 def load(
@@ -99,7 +101,7 @@ def load(
                 watch.wait_heard(_LISTENERS[-1])
                 _pass(watch, _WARM, advance)
                 before, memory, files = _state(watch, node.pid)
-                _pass(watch, steady, advance)
+                result.undisturbed = undisturbed(_readings(watch, steady, advance))
                 after, memory_after, _ = _state(watch, node.pid)
                 result.ticks, result.overruns = _ticks(before, after)
                 result.rss_growth = memory_after - memory
@@ -155,6 +157,18 @@ def _pass(watch: Watch, duration: float, advance: Callable[[float], object]) -> 
     while (left := end - time.monotonic()) > 0:
         watch.spin(min(1.0, left))
         advance(min(1.0, left))
+
+
+def _readings(watch: Watch, duration: float, advance: Callable[[float], object]) -> list[Reading]:
+    """Let a time pass; return what each of the node's diagnostics in it said."""
+    readings: list[Reading] = []
+    begin = now = time.monotonic()
+    while now < begin + duration:
+        said = watch.diagnostics()
+        before, now = now, time.monotonic()
+        readings.append(Reading(now, int(said["ticks"]), int(said["overruns"]), stolen_time()))
+        advance(now - before)
+    return readings
 
 
 def _state(watch: Watch, pid: int) -> tuple[dict[str, str], float, int]:
