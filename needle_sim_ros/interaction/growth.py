@@ -17,10 +17,9 @@ from needle_sim_ros.interaction.balance import Balance
 from needle_sim_ros.interaction.coupling import added_up
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import AIMED, ContactState
-from needle_sim_ros.interaction.track import Track, TrackLayer
+from needle_sim_ros.interaction.track import BeyondMesh, NextPoint, Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.response import Reading
 
 if TYPE_CHECKING:
     from needle_sim_ros.interaction.contact import Step
@@ -31,7 +30,14 @@ _BEYOND = 0.5
 _FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.66, 0.7, 0.94
 # ... and from there to each further step of it: a footprint that is added up, a component
 # that is read where it is foreseen; and in weighing
-_EACH, _EACH_WEIGHED = 0.06, 0.05
+_EACH, _EACH_WEIGHED = 0.06, 0.04
+# after the components that are read
+_READ_BEYOND = 0.42
+
+
+def _stages(beyond: BeyondMesh | None) -> int:
+    """Return how many parts of what the mesh does not show are known."""
+    return 0 if beyond is None else sum(part is not None for part in beyond)
 
 
 class TrackGrowth:
@@ -57,8 +63,8 @@ class TrackGrowth:
         """Return a track of one point with the second one, where the broken surface leads."""
         direction = self._cut(step, bent)
         place = self._layer.coupling.turning(track.points[0], direction, self._bevel)
-        reading = track.table.reading(added_up(place))
-        heading = self._pulled_back(step, track, direction, forces, reading)
+        known = NextPoint(turning=track.table.reading(added_up(place)))
+        heading = self._pulled_back(step, track, direction, forces, known)
         return self._layer.extend(self._layer.aim(track, heading))
 
     def grown(
@@ -87,11 +93,15 @@ class TrackGrowth:
                 if passed < _FORESEEN + _EACH * (2 + len(ahead.turning.columns)):
                     return track
                 track = layer.read(track)
+            elif layer.near is not None and ahead.near is None and ahead.point is None:
+                if passed < _READ_BEYOND:
+                    return track
+                track = layer.read_beyond_mesh(track, self._bevel)
             elif ahead.point is None:
                 if passed < AIMED:
                     return track
                 direction = self._cut(step, bent)
-                heading = self._pulled_back(step, track, direction, forces, ahead.turning)
+                heading = self._pulled_back(step, track, direction, forces, ahead)
                 aimed = layer.aim(track, heading, self._foresight)
                 assert aimed.ahead is not None and aimed.ahead.point is not None
                 if not self._in_tissue(aimed.ahead.point):
@@ -112,7 +122,7 @@ class TrackGrowth:
                     return track
                 track = layer.ask(track)
             elif ahead.row is None:
-                done = len(ahead.columns) + (ahead.beyond is not None)
+                done = len(ahead.columns) + _stages(ahead.beyond)
                 if passed < _WEIGHED + _EACH_WEIGHED * done:
                     return track
                 track = layer.weigh(track)
@@ -136,18 +146,16 @@ class TrackGrowth:
         track: Track,
         direction: Vector,
         forces: Vector,
-        turning: Reading | None,
+        ahead: NextPoint,
     ) -> Vector:
         """Return the direction of the next piece of track, in the undeformed tissue.
 
         The direction in space is pulled back by how the tissue ahead of the tip is turned,
         over the bevel length: a length of the needle, not of the mesh.
         """
-        if turning is None or not forces.any():
+        if ahead.turning is None or not forces.any():
             return direction
-        material = direction - step.sample(track.table, forces, turning)
-        near = self._layer.near
-        if near is not None and track.laid > 1:
-            place, along = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
-            material = material - near.turned(track.points, forces, place, along, self._bevel)
+        material = direction - step.sample(track.table, forces, ahead.turning)
+        if ahead.near is not None:
+            material -= ahead.near.by(forces)
         return np.asarray(material / np.linalg.norm(material))

@@ -17,7 +17,7 @@ from needle_sim_ros.interaction.coupling import Coupling, Shares, added_up
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
-from needle_sim_ros.tissue.near_field import NearField
+from needle_sim_ros.tissue.near_field import NearField, Turning
 from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable, Rows
 
 # how far ahead of the tip responses are prepared: track spacings, and at least so many m
@@ -60,6 +60,8 @@ class NextPoint(NamedTuple):
         Of the footprint that is to be known next.
     turning : Reading or None
         Tells how the tissue ahead of the tip is turned, as far as it is known.
+    near : Turning or None
+        What the mesh does not show of that.
     point, heading : ndarray, shape (d,), or None
         Its place, m, and the cut's unit direction when it was aimed.
     footprint : Footprint or None
@@ -77,6 +79,7 @@ class NextPoint(NamedTuple):
 
     shares: Shares | None = None
     turning: Reading | None = None
+    near: Turning | None = None
     point: Vector | None = None
     heading: Vector | None = None
     footprint: Footprint | None = None
@@ -287,6 +290,14 @@ class TrackLayer:
         assert ahead is not None and ahead.turning is not None
         return track._replace(ahead=ahead._replace(turning=track.table.read(ahead.turning)))
 
+    def read_beyond_mesh(self, track: Track, bevel: float) -> Track:
+        """Find out the same of what the mesh does not show."""
+        ahead, near = track.ahead, self.near
+        assert ahead is not None and near is not None
+        middle = 0.5 * (track.points[-2] + track.points[-1])
+        turning = near.turning(track.points, middle, track.directions[-1], bevel)
+        return track._replace(ahead=ahead._replace(near=turning))
+
     def aim(self, track: Track, heading: Vector, foresight: bool = False) -> Track:
         """Turn the last segment to where the tip cuts in its middle; foresee the next point.
 
@@ -335,7 +346,8 @@ class TrackLayer:
     def weigh(self, track: Track) -> Track:
         """Find out how the tissue answers to forces on the next point.
 
-        One component more, then what the mesh does not show, then all of its row.
+        One component more, then what the mesh does not show, of points and of readers, then
+        all of its row.
         """
         ahead, table = track.ahead, track.table
         assert ahead is not None and ahead.footprint is not None
@@ -344,21 +356,27 @@ class TrackLayer:
             rows = ahead.rows or table.rows.joined(footprint)
             known = (*known, table.column(footprint, len(known), rows))
             ahead = ahead._replace(rows=rows, columns=known)
-        elif ahead.beyond is None and self.near is not None:
-            ahead = ahead._replace(beyond=self._beyond_mesh(self.near, track))
+        elif (more := self._beyond_mesh(track)) is not None:
+            ahead = ahead._replace(beyond=more)
         else:
             row = table.row(footprint, known, ahead.rows)
             ahead = ahead._replace(row=(ahead.beyond or BeyondMesh()).added(row))
         return track._replace(ahead=ahead)
 
-    def _beyond_mesh(self, near: NearField, track: Track) -> BeyondMesh:
-        """Return what the mesh does not show of the next point."""
-        ahead, last = track.ahead, track.points[-1]
+    def _beyond_mesh(self, track: Track) -> BeyondMesh | None:
+        """Return more of what the mesh does not show of the next point; None where that is all."""
+        ahead, near = track.ahead, self.near
+        if near is None:
+            return None
         assert ahead is not None and ahead.point is not None and ahead.heading is not None
-        rows = near.row(track.points, ahead.point, ahead.heading)
-        if not len(self._read):
-            return BeyondMesh(rows)
-        return BeyondMesh(rows, near.at(self._read, last, ahead.point, 2 * ahead.point - last))
+        known = ahead.beyond or BeyondMesh()
+        if known.rows is None:
+            return known._replace(rows=near.row(track.points, ahead.point, ahead.heading))
+        if known.readers is None and len(self._read):
+            last = track.points[-1]
+            after = 2 * ahead.point - last
+            return known._replace(readers=near.at(self._read, last, ahead.point, after))
+        return None
 
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""

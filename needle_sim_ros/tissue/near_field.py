@@ -12,6 +12,7 @@ sides of the tissue and what the readers see have no part in it.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,6 +67,32 @@ def _distances(lag: Vector, radius: float) -> Vector:
     return np.array(
         [(1 / rho) @ share, (0.5 * d**2 / rho**3) @ share, lag**2 * ((1 / rho**3) @ share)]
     )
+
+
+class Turning(NamedTuple):
+    """How forces on the last points of a track turn the tissue, as far as the mesh does not show.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first of these points.
+    aside, along : ndarray, shape (n,)
+        By a force in any direction, and by its part along the track besides, 1/N.
+    direction : ndarray, shape (3,)
+        Unit vector along the track.
+    """
+
+    first: int
+    aside: Vector
+    along: Vector
+    direction: Vector
+
+    def by(self, forces: Vector) -> Vector:
+        """Return how forces on all points, (n, 3), turn it, (3,); new points may bear none yet."""
+        forces = forces[self.first : self.first + len(self.aside)]
+        aside, along = self.aside[: len(forces)], self.along[: len(forces)]
+        axial = along @ (forces @ self.direction)
+        return np.asarray(aside @ forces + axial * self.direction)
 
 
 class NearField:
@@ -175,31 +202,27 @@ class NearField:
         added[close] += factor[:, None, None] * outer
         return added.reshape(-1, 3)
 
-    def turned(
-        self, points: Vector, forces: Vector, place: Vector, direction: Vector, length: float
-    ) -> Vector:
-        """Return what is added to how the tissue is turned ahead of a place, (3,).
+    def turning(self, points: Vector, place: Vector, direction: Vector, length: float) -> Turning:
+        """Return what is added to how forces on points turn the tissue ahead of a place.
 
         Parameters
         ----------
-        points, forces : ndarray, shape (n, 3)
-            Track points, m, and forces on them, N.
+        points : ndarray, shape (n, 3)
+            Of the track, m.
         place, direction : ndarray, shape (3,)
             On the track, m, and its unit direction there.
         length : float
             Over which the tissue is turned, m.
         """
-        count = min(len(points), len(forces))  # a point laid just now bears nothing yet
-        first = max(0, count - self._lags)
-        points, forces = points[first:count], forces[first:count]
-        if count == 0:
-            return np.zeros(3)
+        first = max(0, len(points) - self._lags)
+        points = points[first:]
+        if not len(points):
+            return Turning(0, np.zeros(0), np.zeros(0), direction)
         ends = np.array([place + length * direction, place])
         lag = np.abs(ends @ direction - (points @ direction)[:, None])
         kelvin = self._kelvin(lag)
         aside, along = self._compliance(kelvin[:, 0] - kelvin[:, 1], points, points[-1])
-        axial = (along - aside) @ (forces @ direction)
-        return np.asarray((aside @ forces + axial * direction) / length)
+        return Turning(first, aside / length, (along - aside) / length, direction)
 
     def _kelvin(self, lag: Vector) -> Vector:
         """Interpolate between the means over a section and the hats about it, (..., 3), 1/m."""

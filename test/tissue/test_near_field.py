@@ -90,11 +90,23 @@ def test_a_force_between_the_ends_turns_nothing():
     forces = np.zeros_like(POINTS)
     forces[4] = 0.1, -0.2, 0.3
     start = POINTS[4] - 2e-3 * DOWN
-    turned = near.turned(POINTS, forces, start, DOWN, 4e-3)
-    ahead = near.turned(POINTS, forces, POINTS[4], DOWN, 4e-3)
+    turned = near.turning(POINTS, start, DOWN, 4e-3).by(forces)
+    ahead = near.turning(POINTS, POINTS[4], DOWN, 4e-3).by(forces)
     assert np.abs(turned).max() < 1e-9 * np.abs(ahead).max()
     # the tissue at the force goes with it, that ahead less
     assert (ahead * forces[4] < 0).all()
+
+
+def test_a_point_laid_since_bears_nothing_yet():
+    """Forces on fewer points than it was worked out for, and on more."""
+    near = NearField(scene(3e-3, 3e-3))
+    turning = near.turning(POINTS, POINTS[-1], DOWN, 4e-3)
+    forces = np.random.default_rng(3).normal(size=POINTS.shape)
+    fewer, zero = forces[:-1], np.zeros((1, 3))
+    np.testing.assert_allclose(
+        turning.by(fewer), turning.by(np.vstack([fewer, zero])), rtol=1e-13, atol=0
+    )
+    np.testing.assert_array_equal(turning.by(forces), turning.by(np.vstack([forces, zero + 1.0])))
 
 
 def test_nothing_is_added_where_the_mesh_shows_it():
