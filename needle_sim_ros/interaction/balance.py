@@ -83,8 +83,7 @@ class Balance:
         arclength, lateral = bent.arclength, bent.lateral
         if len(arclength) == 0:
             return np.zeros(len(lateral))
-        per_force = beam.slope_flexibility(self._tip_at, arclength, self._rigidity)[0]
-        return np.asarray(-(lateral @ per_force))
+        return np.asarray(-(lateral @ beam.tip_slope_flexibility(arclength, self._rigidity)))
 
     def touch(self, track: Track, pose: BasePose, free: Vector, limit: float) -> BalanceSolution:
         """Balance the tip on the unbroken surface: state 3 of Fig. 5 (Eqs. 9 to 11).

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 # how far the tip may be beyond the last point of a track that cannot go on, in track spacings
 _BEYOND = 0.5
 # parts of a segment that the tip has passed at each stage; the point is laid at the last
-_FORESEEN, _SPREAD, _ASKED, _WEIGHED, _LAID = 0.1, 0.56, 0.66, 0.7, 0.94
+_FORESEEN, _SPREAD, _ASKED, _WEIGHED = 0.1, 0.54, 0.64, 0.68
+_APPENDED, _LAID = 0.91, 0.94
 # ... and from there to each further step of it: a footprint that is added up, a component
 # that is read where it is foreseen; and in weighing
 _EACH, _EACH_WEIGHED = 0.06, 0.04
@@ -126,6 +127,10 @@ class TrackGrowth:
                 if passed < _WEIGHED + _EACH_WEIGHED * done:
                     return track
                 track = layer.weigh(track)
+            elif ahead.table is None:
+                if passed < _APPENDED:
+                    return track
+                track = layer.append(track, step.after.terms)
             elif passed >= _LAID:
                 track = layer.extend(track)
             else:

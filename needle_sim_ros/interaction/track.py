@@ -18,7 +18,7 @@ from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.near_field import NearField, Turning
-from needle_sim_ros.tissue.response import Reading, ResponseRow, ResponseTable, Rows
+from needle_sim_ros.tissue.response import Axes, Reading, ResponseRow, ResponseTable, Rows
 
 # how far ahead of the tip responses are prepared: track spacings, and at least so many m
 _FORESEEN, _AT_LEAST = 14, 0.03
@@ -75,6 +75,8 @@ class NextPoint(NamedTuple):
         What the mesh does not show of it.
     row : ResponseRow or None
         The row.
+    table : ResponseTable or None
+        With it.
     """
 
     shares: Shares | None = None
@@ -88,6 +90,7 @@ class NextPoint(NamedTuple):
     columns: tuple[Vector, ...] = ()
     beyond: BeyondMesh | None = None
     row: ResponseRow | None = None
+    table: ResponseTable | None = None
 
 
 class Track(NamedTuple):
@@ -138,7 +141,7 @@ class Track(NamedTuple):
         return len(self.points)
 
     def _with(
-        self, point: Vector, row: ResponseRow, laws: Laws, heading: Vector | None = None
+        self, point: Vector, table: ResponseTable, laws: Laws, heading: Vector | None = None
     ) -> Track:
         last = self.points[-1:]
         direction = (point - last) / self.spacing  # none where there is no last point
@@ -154,7 +157,7 @@ class Track(NamedTuple):
             np.vstack([self.points, point]),
             np.append(self.static, limits[0]),
             np.append(self.kinetic, limits[1]),
-            self.table.appended(row),
+            table,
             np.vstack([self.directions, direction]),
             begun,
             heading,
@@ -259,7 +262,7 @@ class TrackLayer:
         row = self._empty.table.row(self.coupling.section(entry, direction))
         if self.near is not None:
             row = BeyondMesh(self.near.row(self._empty.points, entry, direction)).added(row)
-        return self._empty._with(entry, row, self.laws)
+        return self._empty._with(entry, self._empty.table.appended(row), self.laws)
 
     def foresee(self, track: Track, bevel: float) -> Track:
         """Find out what tells how the tissue is turned at the middle of the last segment.
@@ -378,12 +381,31 @@ class TrackLayer:
             return known._replace(readers=near.at(self._read, last, ahead.point, after))
         return None
 
+    def append(self, track: Track, axes: Axes | None = None) -> Track:
+        """Add the row of the next point to the responses, once weighed.
+
+        Parameters
+        ----------
+        track : Track
+        axes : Axes, optional
+            Of the base: what the balance will ask for along them is made beforehand.
+        """
+        ahead = track.ahead
+        assert ahead is not None and ahead.row is not None
+        table = track.table.appended(ahead.row)
+        for number in range(len(axes) - 1 if axes else 0):
+            assert axes is not None
+            table.along(axes, number, len(axes) - 1)
+        return track._replace(ahead=ahead._replace(table=table))
+
     def extend(self, track: Track) -> Track:
         """Lay the next point, once aimed."""
         if track.ahead is None or track.ahead.footprint is None:
             track = self.gather(self.spread(track))
         while track.ahead is None or track.ahead.row is None:
             track = self.weigh(track)
+        if track.ahead.table is None:
+            track = self.append(track)
         ahead = track.ahead
-        assert ahead is not None and ahead.point is not None and ahead.row is not None
-        return track._with(ahead.point, ahead.row, self.laws, ahead.heading)
+        assert ahead is not None and ahead.point is not None and ahead.table is not None
+        return track._with(ahead.point, ahead.table, self.laws, ahead.heading)

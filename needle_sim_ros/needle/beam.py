@@ -42,10 +42,16 @@ def flexibility(at: Vector, load: Vector, rigidity: float) -> Vector:
     return np.asarray(b)
 
 
-def slope_flexibility(at: Vector, load: Vector, rigidity: float) -> Vector:
-    """Return the slope at `at` per unit lateral force at `load`, shape (n, k), 1/N.
+def tip_slope_flexibility(load: Vector, rigidity: float) -> Vector:
+    """Return the slope of the tip per unit lateral force at `load`, shape (k,), 1/N.
 
-    a (2 s_j - a) / (2 E I) with a = min(s_i, s_j): the derivative of :func:`flexibility`.
+    s^2 / (2 E I), as everywhere beyond the force: the derivative of :func:`flexibility`.
+
+    Parameters
+    ----------
+    load : ndarray, shape (k,)
+        Arclengths of the forces, m, between clamp and tip.
+    rigidity : float
+        Flexural rigidity E I, N m^2.
     """
-    a = np.minimum(at[:, None], load[None, :])
-    return np.asarray(a * (2.0 * load[None, :] - a) / (2.0 * rigidity))
+    return np.asarray(load * load * (0.5 / rigidity))

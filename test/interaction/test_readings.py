@@ -61,7 +61,7 @@ def test_the_tip_is_where_the_cantilever_bends_it(either, held):
     found = readings(contact, pose, LENGTH, RIGIDITY)
     at = np.array([LENGTH])
     bent = -(contact.lateral @ beam.flexibility(at, contact.arclength, RIGIDITY)[0])
-    slope = -(contact.lateral @ beam.slope_flexibility(at, contact.arclength, RIGIDITY)[0])
+    slope = -(contact.lateral @ beam.tip_slope_flexibility(contact.arclength, RIGIDITY))
     m = len(bent)
     np.testing.assert_allclose(found.tip_deflection, [*bent, *[0.0] * (3 - m)], rtol=1e-12)
     np.testing.assert_allclose(found.tip_slope, [*slope, *[0.0] * (2 - m)], rtol=1e-12)
