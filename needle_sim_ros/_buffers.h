@@ -69,10 +69,32 @@ static inline int brief(PyObject *object, int count, double *into)
     return fits ? 0 : -1;
 }
 
+/* Do what a function of Python is for and let go of its arrays; -1 stands for an exception. */
+static inline PyObject *done(int (*work)(Buffers *, PyObject *const *), Py_ssize_t wanted,
+                             PyObject *const *arguments, Py_ssize_t given)
+{
+    Buffers all = {.count = 0};
+    int failed = given != wanted;
+    if (failed)
+        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", wanted, given);
+    else
+        failed = work(&all, arguments) < 0;
+    release(&all);
+    if (failed)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
 /* Take an array in a function that returns -1 with an exception, and tell how long it is. */
 #define TAKE(into, index, kind, items, write)                                                     \
     if ((into = array(all, arguments[index], kind, items, write, #into)) == NULL)                 \
         return -1;
 #define TAKEN(size) ((int)(all->held[all->count - 1].len / (Py_ssize_t)sizeof(size)))
+
+/* Take a number in such a function. */
+#define TAKE_NUMBER(into, index)                                                                  \
+    double into = PyFloat_AsDouble(arguments[index]);                                             \
+    if (into == -1.0 && PyErr_Occurred())                                                         \
+        return -1;
 
 #endif

@@ -17,12 +17,6 @@ typedef struct {
     double deflection[3], slope[3], position[3], force[3], torque[3], friction;
 } Readings;
 
-/* Take a number; -1 with an exception if it is none. */
-#define NUMBER(into, index)                                                                       \
-    double into = PyFloat_AsDouble(arguments[index]);                                             \
-    if (into == -1.0 && PyErr_Occurred())                                                         \
-        return -1;
-
 static int work_out(Buffers *all, PyObject *const *arguments, Readings *out)
 {
     double *s, *q, *f, *softness, *points, *moved, *lateral, origin[MOST_AXES], axial[MOST_AXES];
@@ -43,9 +37,9 @@ static int work_out(Buffers *all, PyObject *const *arguments, Readings *out)
     TAKE(lateral, 6, "d", m * d, 0)
     if (brief(arguments[7], d, origin) < 0 || brief(arguments[8], d, axial) < 0)
         return -1;
-    NUMBER(tip, 9)
-    NUMBER(length, 10)
-    NUMBER(rigidity, 11)
+    TAKE_NUMBER(tip, 9)
+    TAKE_NUMBER(length, 10)
+    TAKE_NUMBER(rigidity, 11)
 
     Sums sums = {0};
     for (int k = 0; k < held; k++) {

@@ -4,12 +4,6 @@
 
 #define NEGLIGIBLE 1e-200 /* of dynamics.py */
 
-/* Take a number; -1 with an exception if it is none. */
-#define NUMBER(into, index)                                                                       \
-    double into = PyFloat_AsDouble(arguments[index]);                                             \
-    if (into == -1.0 && PyErr_Occurred())                                                         \
-        return -1;
-
 /* A matrix whose rows lie in memory one after the other, apart or not. */
 typedef struct {
     double *at;
@@ -72,8 +66,8 @@ static int unloaded(Buffers *all, PyObject *const *arguments)
     int count = TAKEN(double);
     TAKE(filtered, 2, "d", count, 0)
     TAKE(forces, 3, "d", count, 0)
-    NUMBER(kept, 4)
-    NUMBER(taken, 5)
+    TAKE_NUMBER(kept, 4)
+    TAKE_NUMBER(taken, 5)
     for (int i = 0; i < modes; i++)
         u[i] = carry[i] * modal[i] + carry[modes + i] * modal[modes + i] +
                carry[2 * modes + i] * modal[2 * modes + i];
@@ -120,7 +114,7 @@ static int loaded(Buffers *all, PyObject *const *arguments)
     int count = TAKEN(double);
     TAKE(state, 4, "d", (Py_ssize_t)3 * modes, 0)
     TAKE(rates, 5, "d", 8, 0)
-    NUMBER(share, 6)
+    TAKE_NUMBER(share, 6)
     TAKE(filtered, 7, "d", 0, 0)
     int known = TAKEN(double) < count ? TAKEN(double) : count;
     TAKE(modal, 8, "d", (Py_ssize_t)3 * modes, 1)
@@ -140,22 +134,6 @@ static int loaded(Buffers *all, PyObject *const *arguments)
     for (int k = 0; k < count; k++)
         after[k] = flushed(share * forces[k] + (k < known ? filtered[k] : 0.0));
     return 0;
-}
-
-/* Do what a function of Python is for and let go of its arrays. */
-static PyObject *done(int (*work)(Buffers *, PyObject *const *), Py_ssize_t wanted,
-                      PyObject *const *arguments, Py_ssize_t given)
-{
-    Buffers all = {.count = 0};
-    int failed = given != wanted;
-    if (failed)
-        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", wanted, given);
-    else
-        failed = work(&all, arguments) < 0;
-    release(&all);
-    if (failed)
-        return NULL;
-    Py_RETURN_NONE;
 }
 
 #define FUNCTION(name, work, count)                                                               \

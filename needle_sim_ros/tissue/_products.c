@@ -23,22 +23,6 @@ static const Py_buffer *matrix_in(Buffers *all, PyObject *object)
     return doubles(view, 2, "matrix") ? view : NULL;
 }
 
-/* Do what a function of Python is for and let go of its arrays; -1 stands for an exception. */
-static PyObject *done(int (*work)(Buffers *, PyObject *const *), Py_ssize_t wanted,
-                      PyObject *const *arguments, Py_ssize_t given)
-{
-    Buffers all = {.count = 0};
-    int failed = given != wanted;
-    if (failed)
-        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", wanted, given);
-    else
-        failed = work(&all, arguments) < 0;
-    release(&all);
-    if (failed)
-        return NULL;
-    Py_RETURN_NONE;
-}
-
 static int multiply(Buffers *all, PyObject *const *arguments)
 {
     const Py_ssize_t item = sizeof(double);
