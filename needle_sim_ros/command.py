@@ -75,6 +75,9 @@ class BaseCommand:
         quaternion = _finite("orientation", orientation, 4)
         if quaternion is not None:
             norm = float(np.linalg.norm(quaternion))
+            if not math.isfinite(norm):
+                quaternion = quaternion / np.abs(quaternion).max()
+                norm = float(np.linalg.norm(quaternion))
             if norm < 1e-6:
                 raise CommandError(f"orientation = {quaternion.tolist()}: zero quaternion")
             quaternion = quaternion / norm

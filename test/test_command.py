@@ -21,6 +21,12 @@ def test_quaternions_are_normalised():
     np.testing.assert_allclose(command.orientation, [0, 0.6, 0, 0.8], rtol=1e-15)
 
 
+@pytest.mark.parametrize("huge", [1e160, 1.3e308])
+def test_quaternions_whose_norm_is_beyond_all_numbers_are_normalised(huge):
+    command = BaseCommand(orientation=[0, 0.75 * huge, 0, huge])
+    np.testing.assert_allclose(command.orientation, [0, 0.6, 0, 0.8], rtol=1e-15)
+
+
 def test_a_command_does_not_change_with_its_source():
     velocity = np.array([0.0, 0.0, -1e-3])
     command = BaseCommand(velocity=velocity)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from needle_sim_ros.geometry import conjugate, multiply, to_rotation_vector
@@ -158,6 +158,8 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
 
 
 @given(st.tuples(*[numbers] * 3), st.tuples(*[numbers] * 4), st.tuples(*[numbers] * 3))
+@example((0.0, 0.0, 0.0), (0.0, 0.0, 1.3e308, 1.3e308), (0.0, 0.0, 0.0))  # its norm is no number
+@example((0.0, 0.0, 0.0), (0.0, math.inf, 1e300, 1e300), (0.0, 0.0, 0.0))
 def test_whatever_comes_the_stage_keeps_its_limits(position, orientation, velocity):
     commands = stage(timeout=0.0)
     accepted = commands.pose(position, orientation, "tissue", 0.0, HERE) is None
