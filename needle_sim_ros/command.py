@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needle_sim_ros.errors import CommandError
+from needle_sim_ros.geometry import with_finite_norm
 
 Vector = NDArray[np.float64]
-_HUGE = 1e150
 
 
 def _finite(name: str, value: ArrayLike | None, size: int) -> Vector | None:
@@ -75,9 +75,7 @@ class BaseCommand:
             raise CommandError("a command is either a pose or a twist, not both")
         quaternion = _finite("orientation", orientation, 4)
         if quaternion is not None:
-            largest = max(map(abs, quaternion.tolist()))
-            if largest > _HUGE:  # its norm may be beyond the largest number
-                quaternion = quaternion / largest
+            quaternion = np.array(with_finite_norm(quaternion.tolist()))
             norm = float(np.linalg.norm(quaternion))
             if norm < 1e-6:
                 raise CommandError(f"orientation = {quaternion.tolist()}: zero quaternion")

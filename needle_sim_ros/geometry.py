@@ -4,11 +4,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Vector = NDArray[np.float64]
+_HUGE = 1e150  # the norm of larger components may be beyond the largest number
+
+
+def with_finite_norm(quaternion: Sequence[float]) -> Sequence[float]:
+    """Return finite components of a quaternion, scaled where its norm would overflow."""
+    largest = max(map(abs, quaternion))
+    return [q / largest for q in quaternion] if largest > _HUGE else quaternion
 
 
 def rotation_matrix(quaternion: ArrayLike) -> Vector:

@@ -17,7 +17,7 @@ from needle_sim_ros.interaction.balance import Balance
 from needle_sim_ros.interaction.coupling import added_up
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import AIMED, ContactState
-from needle_sim_ros.interaction.track import BeyondMesh, NextPoint, Track, TrackLayer
+from needle_sim_ros.interaction.track import NextPoint, Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
 
@@ -34,11 +34,6 @@ _APPENDED, _LAID = 0.91, 0.94
 _EACH, _EACH_WEIGHED = 0.06, 0.04
 # after the components that are read
 _READ_BEYOND = 0.42
-
-
-def _stages(beyond: BeyondMesh | None) -> int:
-    """Return how many parts of what the mesh does not show are known."""
-    return 0 if beyond is None else sum(part is not None for part in beyond)
 
 
 class TrackGrowth:
@@ -123,7 +118,7 @@ class TrackGrowth:
                     return track
                 track = layer.ask(track)
             elif ahead.row is None:
-                done = len(ahead.columns) + _stages(ahead.beyond)
+                done = len(ahead.columns) + ahead.beyond.known
                 if passed < _WEIGHED + _EACH_WEIGHED * done:
                     return track
                 track = layer.weigh(track)

@@ -42,6 +42,11 @@ class BeyondMesh(NamedTuple):
     rows: Vector | None = None
     readers: Vector | None = None
 
+    @property
+    def known(self) -> int:
+        """How many parts of it are known."""
+        return sum(part is not None for part in self)
+
     def added(self, row: ResponseRow) -> ResponseRow:
         """Return a row with it."""
         if self.rows is not None:
@@ -71,8 +76,8 @@ class NextPoint(NamedTuple):
         Of the response table, and its own.
     columns : tuple of ndarray
         The first columns of its row.
-    beyond : BeyondMesh or None
-        What the mesh does not show of it.
+    beyond : BeyondMesh
+        What the mesh does not show of it, as far as it is known.
     row : ResponseRow or None
         The row.
     table : ResponseTable or None
@@ -88,7 +93,7 @@ class NextPoint(NamedTuple):
     asked: bool = False
     rows: Rows | None = None
     columns: tuple[Vector, ...] = ()
-    beyond: BeyondMesh | None = None
+    beyond: BeyondMesh = BeyondMesh()
     row: ResponseRow | None = None
     table: ResponseTable | None = None
 
@@ -139,6 +144,11 @@ class Track(NamedTuple):
     def laid(self) -> int:
         """Number of points n."""
         return len(self.points)
+
+    @property
+    def middle(self) -> Vector:
+        """Middle of the last segment, (d,), m."""
+        return np.asarray(0.5 * (self.points[-2] + self.points[-1]))
 
     def _with(
         self, point: Vector, table: ResponseTable, laws: Laws, heading: Vector | None = None
@@ -273,8 +283,8 @@ class TrackLayer:
         bevel : float
             Bevel length, over which it is turned, m.
         """
-        middle, direction = 0.5 * (track.points[-2] + track.points[-1]), track.directions[-1]
-        return track._replace(ahead=NextPoint(self.coupling.turning(middle, direction, bevel)))
+        shares = self.coupling.turning(track.middle, track.directions[-1], bevel)
+        return track._replace(ahead=NextPoint(shares))
 
     def gather(self, track: Track) -> Track:
         """Add up the footprint that was foreseen, or spread."""
@@ -297,8 +307,7 @@ class TrackLayer:
         """Find out the same of what the mesh does not show."""
         ahead, near = track.ahead, self.near
         assert ahead is not None and near is not None
-        middle = 0.5 * (track.points[-2] + track.points[-1])
-        turning = near.turning(track.points, middle, track.directions[-1], bevel)
+        turning = near.turning(track.points, track.middle, track.directions[-1], bevel)
         return track._replace(ahead=ahead._replace(near=turning))
 
     def aim(self, track: Track, heading: Vector, foresight: bool = False) -> Track:
@@ -363,7 +372,7 @@ class TrackLayer:
             ahead = ahead._replace(beyond=more)
         else:
             row = table.row(footprint, known, ahead.rows)
-            ahead = ahead._replace(row=(ahead.beyond or BeyondMesh()).added(row))
+            ahead = ahead._replace(row=ahead.beyond.added(row))
         return track._replace(ahead=ahead)
 
     def _beyond_mesh(self, track: Track) -> BeyondMesh | None:
@@ -372,7 +381,7 @@ class TrackLayer:
         if near is None:
             return None
         assert ahead is not None and ahead.point is not None and ahead.heading is not None
-        known = ahead.beyond or BeyondMesh()
+        known = ahead.beyond
         if known.rows is None:
             return known._replace(rows=near.row(track.points, ahead.point, ahead.heading))
         if known.readers is None and len(self._read):
@@ -381,7 +390,7 @@ class TrackLayer:
             return known._replace(readers=near.at(self._read, last, ahead.point, after))
         return None
 
-    def append(self, track: Track, axes: Axes | None = None) -> Track:
+    def append(self, track: Track, axes: Axes = ()) -> Track:
         """Add the row of the next point to the responses, once weighed.
 
         Parameters
@@ -393,8 +402,7 @@ class TrackLayer:
         ahead = track.ahead
         assert ahead is not None and ahead.row is not None
         table = track.table.appended(ahead.row)
-        for number in range(len(axes) - 1 if axes else 0):
-            assert axes is not None
+        for number in range(len(axes) - 1):
             table.along(axes, number, len(axes) - 1)
         return track._replace(ahead=ahead._replace(table=table))
 

@@ -11,11 +11,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from needle_sim_ros.geometry import with_finite_norm
 from needle_sim_ros.session.motion import STILL, Motion
 
 Numbers = Sequence[float]
 _INSTANT = 1e-9  # s, below which two simulated times are the same
-_SMALLEST_NORM, _HUGE = 1e-6, 1e150
+_SMALLEST_NORM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,7 @@ class StageCommands:
         here : 3 numbers
             Where the base is, m.
         """
-        largest = max(map(abs, orientation))
-        if largest > _HUGE:  # its norm may be beyond the largest number
-            orientation = [q / largest for q in orientation]
+        orientation = with_finite_norm(orientation)
         norm = math.hypot(*orientation)
         reason = self._common(frame, (*position, *orientation))
         if reason is None and norm < _SMALLEST_NORM:

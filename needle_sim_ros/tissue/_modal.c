@@ -39,7 +39,7 @@ static void add_product(const Matrix *a, double *x, int columns, double *out)
     double one = 1.0;
     int step = 1, rows = a->rows, width = a->width > columns ? a->width : columns;
     if (rows > 0 && columns > 0)
-        gemv("T", &columns, &rows, &one, (double *)a->at, &width, x, &step, &one, out, &step);
+        gemv("T", &columns, &rows, &one, a->at, &width, x, &step, &one, out, &step);
 }
 
 /* Return nothing for what has decayed to nothing. */
