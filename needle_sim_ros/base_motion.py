@@ -20,7 +20,7 @@ from needle_sim_ros.geometry import (
 )
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
-from needle_sim_ros.scene import Scene
+from needle_sim_ros.scene import Friction, Scene
 
 _STEEPEST = math.cos(math.radians(80))
 # rad that the base turns at most in a step of a tick
@@ -29,6 +29,8 @@ _TURN = 0.05
 _JUMP = 0.2
 # path in a step, in weakening distances, where points begin to slide; most steps for it
 _FINE, MOST_UNSTEADY = 0.06, 32
+# time in a step, in healing times, where points may be stuck
+_HEALED = 0.5
 _NO_TURN = np.zeros(3)
 
 
@@ -132,25 +134,29 @@ def static_steps(motion: BaseMotion, spacing: float) -> int:
 
 
 def unsteady_steps(
-    motion: BaseMotion, dt: float, length: float, weakening: float, least: int
+    motion: BaseMotion, dt: float, length: float, friction: Friction, least: int
 ) -> int:
     """Return into how many steps a quasi-static tick falls in which points begin to slide.
 
-    Where each of them does is known to a step only, and what follows depends on it.
+    Where each of them does is known to a step only, and what follows depends on it; so it does
+    on how far the friction of those that are stuck has recovered.
 
     Parameters
     ----------
     motion : BaseMotion
     dt : float
         s.
-    length, weakening : float
-        Of the needle, and over which friction falls to kinetic, m.
+    length : float
+        Of the needle, m.
+    friction : Friction
     least : int
         Steps that it falls into anyway.
     """
     fastest = max(abs(rate) for rate in motion.rate[:3])
     fastest = max(fastest, length * max(abs(rate) for rate in motion.rate[3:]))
-    return max(least, min(MOST_UNSTEADY, math.ceil(fastest * dt / (_FINE * weakening) - 1e-9)))
+    slid = fastest * dt / (_FINE * friction.weakening_distance)
+    healed = dt / (_HEALED * friction.healing_time)
+    return max(least, min(MOST_UNSTEADY, math.ceil(max(slid, healed) - 1e-9)))
 
 
 def check(

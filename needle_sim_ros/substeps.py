@@ -102,8 +102,7 @@ def equal_parts(
         length = scene.needle.length
         stuck = not contact.status[:-1].all()
         if stuck or jumps(motion.rate, rate, length):
-            weakening = scene.interaction.friction.weakening_distance
-            return unsteady_steps(motion, dt, length, weakening, steps)
+            return unsteady_steps(motion, dt, length, scene.interaction.friction, steps)
     return steps
 
 

@@ -9,7 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_sim_ros import BaseCommand
-from needle_sim_ros.base_motion import AT_REST, commanded, jumps, part_way, static_steps
+from needle_sim_ros.base_motion import (
+    AT_REST,
+    MOST_UNSTEADY,
+    commanded,
+    jumps,
+    part_way,
+    static_steps,
+    unsteady_steps,
+)
+from needle_sim_ros.scene import Friction
 
 PLACE = np.array([0.01, 0.0, 0.14])
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
@@ -73,3 +82,13 @@ def test_static_steps_are_short(advance):
     steps = static_steps(motion, 1e-3)
     assert advance / steps <= 0.5e-3 * (1 + 1e-6)
     assert steps == 1 or advance / (steps - 1) > 0.5e-3 * (1 - 1e-6)
+
+
+def test_unsteady_steps_follow_the_slip_and_the_healing():
+    friction = Friction(weakening_distance=5e-4, healing_time=0.1)
+    slow = commanded(BaseCommand(velocity=[0, 0, -1e-3]), np.zeros(3), DOWN, 1.0)
+    rest = commanded(BaseCommand(), np.zeros(3), DOWN, 1.0)
+    assert unsteady_steps(slow, 1.0, 0.1, friction, 1) == MOST_UNSTEADY
+    assert unsteady_steps(rest, 1.0, 0.1, friction, 1) == 20
+    assert unsteady_steps(rest, 0.05, 0.1, friction, 1) == 1
+    assert unsteady_steps(rest, 0.05, 0.1, friction, 7) == 7
