@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from needle_sim_ros import BaseCommand, Simulator
+from needle_sim_ros import Simulator
 
 DOWN, UP, ASIDE = (0, 0, -3e-3), (0, 0, 3e-3), (2e-3, 0, 0)
 WEAKENING = {"interaction.friction.static": 24.0, "interaction.friction.kinetic": 16.0}
@@ -149,17 +149,14 @@ def test_other_elements_agree(coarse_scene, drive, refined, element, error):
     np.testing.assert_allclose(found, refined, rtol=error)
 
 
-def test_short_strokes_and_a_hold_in_ticks_of_a_second(simulator):
+def test_short_strokes_and_a_hold_in_ticks_of_a_second(simulator, drive):
     """Ten times the time in which friction recovers: within 0.5 % of ticks a sixteenth as long."""
+    strokes = (-20e-3, 4e-3, -4e-3, 2e-3, -2e-3, 0.0, 0.0, 0.0)
     found = []
     for parts in (1, 16):
         sim = simulator(WEAKENING)
         while sim.observe().insertion_depth < 0.02:
-            sim.step(BaseCommand(velocity=DOWN), 0.1)
-        friction = []
-        for stroke in (-20e-3, 4e-3, -4e-3, 2e-3, -2e-3, 0.0, 0.0, 0.0):
-            for _ in range(parts):
-                seen = sim.step(BaseCommand(velocity=(0, 0, stroke)), 1 / parts)
-            friction.append([seen.friction_force])
-        found.append(np.array(friction))
+            drive(sim, 0.1, DOWN, dt=0.1)
+        ends = [drive(sim, 1.0, (0, 0, stroke), dt=1 / parts)[-1] for stroke in strokes]
+        found.append(np.array([[end.friction_force] for end in ends]))
     assert relative(*found).max() < 0.005
