@@ -1,11 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The contact problem by projected Newton, as in contact_solve.py. */
+/* The contact problem by exchanges and projected Newton, as in contact_solve.py. */
 #ifndef NEEDLE_SIM_CONTACT_SOLVE_H
 #define NEEDLE_SIM_CONTACT_SOLVE_H
 #include "../_linear_algebra.h"
 #include <math.h>
 
-#define PATIENCE 10 /* as in contact_solve.py */
+/* as in contact_solve.py */
+#define PATIENCE 10
+#define FEW_CHANCES 2
 
 /* The contact problem: min 1/2 x'Ax - b'x with low <= x <= high. */
 typedef struct {
@@ -92,30 +94,83 @@ static void armijo(Contact *c, int count)
     }
 }
 
-/* contact_solve.solve_contact; returns how often it solved, 0 where it does not get there. */
+/* Set `gradient` to that where `x` is. */
+static void incline(Contact *c)
+{
+    product(c->matrix, c->size, c->size, c->size, c->x, c->gradient);
+    for (int i = 0; i < c->size; i++)
+        c->gradient[i] -= c->right[i];
+}
+
+/* Put what is at a bound there, and list the rest; returns how many these are. */
+static int hold(Contact *c, const signed char *status)
+{
+    int count = 0;
+    for (int i = 0; i < c->size; i++) {
+        c->x[i] = status[i] < 0 ? c->low[i] : status[i] > 0 ? c->high[i] : 0.0;
+        if (status[i] == 0)
+            c->free[count++] = i;
+    }
+    return count;
+}
+
+/* contact_solve._exchanged, from `status`: how many systems it took, negative where it does not
+ * get there, 0 where there is no solution. */
+static int exchange(Contact *c, double allowed, signed char *status)
+{
+    int fewest = c->size + 1, chances = FEW_CHANCES;
+    for (int i = 0; i < c->size; i++)
+        if (c->low[i] == c->high[i])
+            status[i] = -1;
+    for (int iteration = 1;; iteration++) {
+        int wrong = 0;
+        double worst = 0.0;
+        if (newton(c, hold(c, status)) < 0)
+            return 0;
+        memcpy(c->x, c->target, (size_t)c->size * sizeof(double));
+        incline(c);
+        for (int i = 0; i < c->size; i++) {
+            int before = status[i];
+            if (before == 0) {
+                worst = fmax(worst, fabs(c->gradient[i]));
+                status[i] = c->x[i] < c->low[i] ? -1 : c->x[i] > c->high[i];
+            } else if (before * c->gradient[i] > allowed && c->low[i] < c->high[i])
+                status[i] = 0;
+            wrong += status[i] != before;
+        }
+        if (wrong == 0 && worst <= allowed)
+            return iteration;
+        chances -= wrong >= fewest;
+        if (wrong == 0 || chances < 0)
+            return -iteration;
+        fewest = wrong < fewest ? wrong : fewest;
+    }
+}
+
+/* contact_solve.solve_contact; returns how often it solved, 0 where it does not get there. The
+ * first `sure` unknowns have no bounds. */
 static int solve_contact(Contact *c, const signed char *guess, int sure, double tolerance,
                          signed char *status)
 {
-    int size = c->size, count = 0;
+    int size = c->size;
     double scale = 1e-300;
-    for (int i = 0; i < size; i++) {
-        int at = i < sure ? 0 : guess[i - sure];
+    for (int i = 0; i < size; i++)
         scale = fmax(scale, fabs(c->right[i]));
-        c->x[i] = at < 0 ? c->low[i] : at > 0 ? c->high[i] : 0.0;
-        if (at == 0)
-            c->free[count++] = i;
-    }
     double allowed = tolerance * scale;
-    if (newton(c, count) < 0)
+    memset(status, 0, (size_t)sure);
+    memcpy(status + sure, guess, (size_t)(size - sure));
+    int spent = exchange(c, allowed, status);
+    if (spent >= 0)
+        return spent;
+    memcpy(status + sure, guess, (size_t)(size - sure));
+    if (newton(c, hold(c, status)) < 0)
         return 0;
     for (int i = 0; i < size; i++)
         c->x[i] = clipped(c->target[i], c->low[i], c->high[i]);
-    product(c->matrix, size, size, size, c->x, c->gradient);
-    for (int i = 0; i < size; i++)
-        c->gradient[i] -= c->right[i];
+    incline(c);
     for (int iteration = 1; iteration <= PATIENCE; iteration++) {
         double worst = 0.0;
-        count = 0;
+        int count = 0;
         for (int i = 0; i < size; i++) {
             int low = c->x[i] <= c->low[i], high = c->x[i] >= c->high[i];
             int pressed = (low && c->gradient[i] > 0) || (high && c->gradient[i] < 0);
@@ -126,7 +181,7 @@ static int solve_contact(Contact *c, const signed char *guess, int sure, double 
             }
         }
         if (worst <= allowed)
-            return iteration;
+            return iteration - spent;
         if (newton(c, count) < 0)
             return 0;
         armijo(c, count);

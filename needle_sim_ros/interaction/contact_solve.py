@@ -2,13 +2,14 @@
 """The contact problem of a tick: min 1/2 x'Ax - b'x with low <= x <= high.
 
 A is the compliance of tissue, needle and presliding, symmetric positive definite, so the
-solution exists, is unique and depends on no history. Projected Newton (Bertsekas 1982):
-variables at a bound that the gradient presses outwards stay there, the others take a
-Newton step, and the projected step is shortened until the objective falls by Armijo's
-rule. Every iteration lowers a strictly convex function and there are finitely many sets
-of bound variables, so it ends; a warm start usually makes it end after one step. Should
-rounding stall it all the same, block principal pivoting (Portugal, Judice and Vicente
-1994) takes over: its single pivots end by construction for any such matrix.
+solution exists, is unique and depends on no history. From a tick to the next few variables
+change sides, and block principal pivoting (Portugal, Judice and Vicente 1994) finds these in
+one to three linear systems: all that are wrongly free or bound are exchanged, while they get
+fewer, give or take two times. Where they do not, projected Newton (Bertsekas 1982) goes on: variables at a bound
+that the gradient presses outwards stay there, the others take a Newton step, and the projected
+step is shortened until the objective falls by Armijo's rule. Every iteration lowers a strictly
+convex function and there are finitely many sets of bound variables, so it ends. Should rounding
+stall it all the same, pivots one at a time end by construction for any such matrix.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _MOST_ITERATIONS = 50
 _PATIENCE = 10
 # runs of rows from which a block is gathered entry by entry
 _FEW_RUNS = 4
-# block pivots without progress before single ones
-_CHANCES = 10
+# block pivots without progress before projected Newton, and before single pivots
+_FEW_CHANCES, _CHANCES = 2, 10
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,63 @@ def solve_contact(
     """
     scale = max(float(np.abs(right).max(initial=0.0)), 1e-300)
     allowed = tolerance * scale
-    x = np.where(status < 0, low, np.where(status > 0, high, 0.0))
-    free = status == 0
-    x[free] = _newton(matrix, right, x, free)
+    problem = _Problem(matrix, right, low, high)
+    found = _exchanged(problem, status, allowed)
+    if isinstance(found, ContactSolution):
+        return found
+    return _descended(problem, status, allowed, found)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    matrix: Vector
+    right: Vector
+    low: Vector
+    high: Vector
+
+    def held(self, state: NDArray[np.int8]) -> tuple[Vector, Vector]:
+        """Return x with the variables at their bounds and the rest at their minimum; gradient."""
+        x = np.where(state < 0, self.low, np.where(state > 0, self.high, 0.0))
+        free = state == 0
+        x[free] = _newton(self.matrix, self.right, x, free)
+        return x, self.matrix @ x - self.right
+
+    def wrong(
+        self, state: NDArray[np.int8], x: Vector, gradient: Vector, slack: float
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
+        """Return which variables are wrongly free or bound, and where these belong."""
+        free = state == 0
+        below, above = free & (x < self.low), free & (x > self.high)
+        inward = (state * gradient > slack) & (self.low < self.high)
+        return below | above | inward, np.where(below, -1, above).astype(np.int8)
+
+
+def _exchanged(
+    problem: _Problem, status: NDArray[np.int8], allowed: float
+) -> ContactSolution | int:
+    """Exchange what is wrong while it gets less; else return how many systems that took."""
+    state = np.where(problem.low == problem.high, -1, status).astype(np.int8)
+    fewest, chances, iteration = len(state) + 1, _FEW_CHANCES, 0
+    while True:
+        iteration += 1
+        x, gradient = problem.held(state)
+        wrong, where = problem.wrong(state, x, gradient, allowed)
+        count = int(np.count_nonzero(wrong))
+        if count == 0 and np.abs(gradient[state == 0]).max(initial=0.0) <= allowed:
+            return ContactSolution(x, gradient, state, iteration)
+        chances -= count >= fewest
+        if count == 0 or chances < 0:
+            return iteration
+        fewest = min(count, fewest)
+        state[wrong] = where[wrong]
+
+
+def _descended(
+    problem: _Problem, status: NDArray[np.int8], allowed: float, spent: int
+) -> ContactSolution:
+    """Go down by projected Newton, which ends wherever it begins."""
+    matrix, right, low, high = problem.matrix, problem.right, problem.low, problem.high
+    x, _ = problem.held(status)
     np.clip(x, low, high, out=x)
     gradient = matrix @ x - right
     for iteration in range(1, _MOST_ITERATIONS):
@@ -97,11 +152,11 @@ def solve_contact(
             state[at_low & pressed] = -1
             state[at_high & ~at_low & pressed] = 1
             # free variables that happen to stand on a bound count as free
-            return ContactSolution(x, gradient, state, iteration)
+            return ContactSolution(x, gradient, state, spent + iteration)
         target = x.copy()
         target[free] = _newton(matrix, right, x, free)
         x, gradient = _armijo(matrix, right, x, gradient, target, low, high, free)
-    return _pivoted(matrix, right, low, high, allowed)
+    return _pivoted(problem, allowed, spent + _MOST_ITERATIONS)
 
 
 def _newton(matrix: Vector, right: Vector, x: Vector, free: NDArray[np.bool_]) -> Vector:
@@ -146,32 +201,24 @@ def _rounding(matrix: Vector, x: Vector) -> float:
     return 4 * float(np.finfo(float).eps) * largest
 
 
-def _pivoted(
-    matrix: Vector, right: Vector, low: Vector, high: Vector, allowed: float
-) -> ContactSolution:
+def _pivoted(problem: _Problem, allowed: float, spent: int) -> ContactSolution:
     """Exchange all variables that are wrongly free or bound, or one when that does not help."""
-    closed = low == high
-    state = np.where(closed, -1, 0).astype(np.int8)
+    matrix, right = problem.matrix, problem.right
+    state = np.where(problem.low == problem.high, -1, 0).astype(np.int8)
     fewest, chances = len(right) + 1, _CHANCES
     for iteration in range(1, 100 + 20 * len(right)):
-        x = np.where(state < 0, low, np.where(state > 0, high, 0.0))
-        free = state == 0
-        x[free] = _newton(matrix, right, x, free)
-        gradient = matrix @ x - right
-        slack = max(allowed, _rounding(matrix, x))
-        below, above = free & (x < low), free & (x > high)
-        inward = ((state < 0) & (gradient < -slack)) | ((state > 0) & (gradient > slack))
-        wrong = below | above | (inward & ~closed)
+        x, gradient = problem.held(state)
+        wrong, where = problem.wrong(state, x, gradient, max(allowed, _rounding(matrix, x)))
         count = int(np.count_nonzero(wrong))
         if count == 0:
-            return ContactSolution(x, gradient, state, _MOST_ITERATIONS + iteration)
+            return ContactSolution(x, gradient, state, spent + iteration)
         if count < fewest:
             fewest, chances = count, _CHANCES
         elif chances > 0:
             chances -= 1
         else:  # Murty's rule
             wrong[: np.flatnonzero(wrong)[-1]] = False
-        state[wrong] = np.where(below, -1, np.where(above, 1, 0))[wrong]
+        state[wrong] = where[wrong]
     raise SolverError("the contact problem has no solution within its rounding")
 
 

@@ -92,14 +92,17 @@ class Coupling:
         return added_up(self._shares(point + section, share))
 
     def ahead(self, point: Vector, direction: Vector, reach: float) -> Index:
-        """Return the nodes that a track from a point along a unit direction will touch."""
+        """Return the nodes that a track from a point along a unit direction will touch.
+
+        Some of them several times.
+        """
         # no layer of elements may be missed
         count = max(_AHEAD, 1 + math.ceil(reach / self._along_spacing))
         steps = np.linspace(0.0, reach, count)[:, None, None] * direction
         section, _ = self._section(direction)
         places = (point + steps + section[None, :, :]).reshape(-1, len(point))
         nodes, values, inside = self._model.shape_functions(places)
-        return np.unique(nodes[inside][np.abs(values[inside]) > 1e-12])
+        return nodes[inside][np.abs(values[inside]) > 1e-12]
 
     def turning(self, point: Vector, direction: Vector, length: float) -> Shares:
         """Return what tells how the mean displacement changes per length along a direction.

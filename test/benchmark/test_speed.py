@@ -10,7 +10,7 @@ import pytest
 
 from needle_sim_ros import Scene, Simulator
 from needle_sim_ros.benchmark.profile import sampled
-from needle_sim_ros.benchmark.speed import speed
+from needle_sim_ros.benchmark.speed import _Run, speed
 from needle_sim_ros.protocol import protocol_commands
 
 SMALL = {
@@ -135,3 +135,18 @@ class TestProfile:
         thread.start()
         thread.join()
         assert found == [{}]
+
+
+def test_a_turn_leaves_the_run_where_its_ticks_do():
+    """Ticks that are made again before a turn count neither as time nor as way."""
+    scene = Scene.load("gao2016", SMALL | {"solver.dynamics": "quasi_static"})
+    commands = protocol_commands(scene.protocol, 0.01)[:90]
+    alone, run = Simulator(scene), _Run("tick", Simulator(scene), 0.0)
+    for command in commands:
+        alone.step(command, 0.01)
+    for start, end in ((0, 2), (2, 60), (60, 60), (60, 90)):
+        run.turn(commands[start:end], 0.01)
+    assert len(run.times) == len(run.inserted) == 90
+    seen, there = run.simulator.observe(), alone.observe()
+    assert (seen.time, seen.insertion_depth) == (there.time, there.insertion_depth)
+    assert (seen.base_force == there.base_force).all()

@@ -181,12 +181,22 @@ hard = st.builds(
 )
 
 
+def _descended(problem, allowed):
+    start = np.zeros(len(problem.right), dtype=np.int8)
+    return contact_solve._descended(problem, start, allowed * np.abs(problem.right).max(), 0)
+
+
+def _pivoted(problem, allowed):
+    return contact_solve._pivoted(problem, allowed, 0)
+
+
+@pytest.mark.parametrize("fallback", [_descended, _pivoted])
 @given(problem=hard)
 @settings(max_examples=60)
-def test_the_fallback_solves_the_same_problem(problem):
-    """What takes over when Newton's steps stall, asked directly; ill-conditioned ones too."""
+def test_the_fallbacks_solve_the_same_problem(fallback, problem):
+    """What takes over when exchanges, and Newton's steps, stall; ill-conditioned ones too."""
     matrix, right, low, high = problem
-    found = contact_solve._pivoted(matrix, right, low, high, 1e-10)
+    found = fallback(contact_solve._Problem(*problem), 1e-10)
     noise = 1e-15 * np.abs(found.x).sum() / np.abs(right).max()
     assert_solves(found, matrix, right, low, high, tolerance=1e-8 + 10 * noise)
 
@@ -201,11 +211,13 @@ def test_ill_conditioned_problems(problem):
     assert_solves(found, matrix, right, low, high, tolerance=1e-8 + 10 * noise)
 
 
-def test_the_fallback_takes_over(monkeypatch):
-    """With no Newton steps allowed the answer is still the answer."""
+@pytest.mark.parametrize("steps", [50, 0])
+def test_the_fallbacks_take_over(monkeypatch, steps):
+    """With no exchanges, and no Newton steps, allowed the answer is still the answer."""
     matrix, right, low, high, status = contact_like(30, 1)
     usual = solve_contact(matrix, right, low, high, status)
-    monkeypatch.setattr(contact_solve, "_MOST_ITERATIONS", 0)
+    monkeypatch.setattr(contact_solve, "_exchanged", lambda *_: 0)
+    monkeypatch.setattr(contact_solve, "_MOST_ITERATIONS", steps)
     other = solve_contact(matrix, right, low, high, status)
     np.testing.assert_allclose(other.x, usual.x, atol=1e-8 * np.abs(usual.x).max())
     np.testing.assert_array_equal(other.status, usual.status)
