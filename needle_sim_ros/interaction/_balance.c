@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The balance of an inserted needle: what balance.py, friction.py, sliding.py and what they call
  * do in hundreds of calls of numpy, in their order and with their names, in two. `slide` takes
- * every force to stay at the bound where it was; where that does not hold, or one was free,
+ * all friction to stay at the bound where it was; where that does not hold, or one was free,
  * `bounded` solves the problem in full. The latter answers None where it does not get there, and
  * Python does it all.
  *
@@ -229,20 +229,22 @@ static int one_way(const Problem *p)
     return p->status[p->n] == way && p->numbers[ADVANCE] * way > 0 ? way : 0;
 }
 
-/* Solve with friction and tip at their guessed bounds: 1 if they hold, 0 if not. */
-static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int *pivots,
-                     double *tip_force, double *overlap)
+/* What `slide` finds for the tip. */
+typedef struct {
+    double force, overlap, lack;
+    int state, solves;
+} Tip;
+
+/* SlidingProblem._pushed: how much the tip wants on, with a force on it; NAN where that cannot
+ * be told. */
+static double pushed(Problem *p, const Guess *g, double tip, double reach, double *work,
+                     int *pivots)
 {
-    int n = p->n, held = p->held, d = p->d, along_tip = p->status[n] > 0;
-    double *rows = p->rows, tip = along_tip ? p->numbers[LIMIT] : 0.0, largest = -DBL_MAX;
+    int n = p->n, held = p->held, d = p->d;
+    double *rows = p->rows, overlap = reach - p->numbers[TIP_SOFTNESS] * tip;
     const double *share = rows + SHARE * n;
-    for (int i = 0; i < n; i++) {
-        double force = rows[(p->status[i] > 0 ? HIGH : LOW) * n + i];
-        rows[FRICTION * n + i] = force;
-        rows[AXIAL_FORCE * n + i] = force + tip * share[i];
-        largest = fmax(largest, rows[ELASTIC * n + i]);
-    }
-    double allowed = p->numbers[TOLERANCE] * fmax(largest, fabs(reach));
+    for (int i = 0; i < n; i++)
+        rows[AXIAL_FORCE * n + i] = rows[FRICTION * n + i] + tip * share[i];
     for (int a = 0; a < p->m; a++) {
         product(g->mixed[a], g->mixed_wide[a], held, n, rows + AXIAL_FORCE * n, p->q + a * held);
         for (int k = 0; k < held; k++)
@@ -251,20 +253,69 @@ static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int
     if (answer(p->m, held, g->factor, g->count, g->kinds, g->answers, g->products,
                p->arclength[0] - g->arclength[0], p->numbers[RIGIDITY], p->softness, g->least,
                p->q, work, pivots) < 0)
-        return 0;
+        return NAN;
     act(p);
-    *tip_force = tip;
-    *overlap = reach - p->numbers[TIP_SOFTNESS] * tip;
     for (int i = 0; i < n; i++) {
         double went = dot(p->moved + i * d, p->axial, d);
-        double strain = rows[SOFT * n + i] * rows[FRICTION * n + i];
-        *overlap -= share[i] * went;
-        rows[STRAIN * n + i] = strain;
-        rows[SLID * n + i] = rows[ELASTIC * n + i] - went - strain;
+        overlap -= share[i] * went;
+        rows[SLID * n + i] = rows[ELASTIC * n + i] - went - rows[STRAIN * n + i];
+    }
+    return overlap;
+}
+
+/* Compliance at the tip along the axis, as the tissue and its own contact have it. */
+static double softest(const Problem *p)
+{
+    const double *share = p->rows + SHARE * p->n;
+    double sum = p->numbers[TIP_SOFTNESS];
+    for (int i = 0; i < p->n; i++)
+        for (int j = 0; share[i] != 0.0 && j < p->n; j++)
+            for (int a = 0; share[j] != 0.0 && a < p->d; a++) {
+                const double *row = p->between + (size_t)(i * p->d + a) * p->wide + j * p->d;
+                sum += share[i] * share[j] * p->axial[a] * dot(row, p->axial, p->d);
+            }
+    return sum;
+}
+
+/* SlidingProblem.sliding: 1 if the guessed bounds of the friction hold, 0 if not. */
+static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int *pivots, Tip *tip)
+{
+    int n = p->n;
+    double *rows = p->rows, limit = p->numbers[LIMIT], largest = -DBL_MAX;
+    for (int i = 0; i < n; i++) {
+        double force = rows[(p->status[i] > 0 ? HIGH : LOW) * n + i];
+        rows[FRICTION * n + i] = force;
+        rows[STRAIN * n + i] = rows[SOFT * n + i] * force;
+        largest = fmax(largest, rows[ELASTIC * n + i]);
+    }
+    double allowed = p->numbers[TOLERANCE] * fmax(largest, fabs(reach));
+    tip->state = p->status[n] < 0 ? -1 : 1;
+    tip->force = p->status[n] < 0 ? 0.0 : limit;
+    tip->solves = 1;
+    tip->overlap = pushed(p, g, tip->force, reach, work, pivots);
+    if (tip->state * tip->overlap < -allowed) {
+        double first = tip->overlap, force = tip->force;
+        tip->state = -tip->state;
+        tip->force = limit - force;
+        tip->solves = 2;
+        tip->overlap = pushed(p, g, tip->force, reach, work, pivots);
+        if (tip->state * tip->overlap < -allowed) {
+            tip->force += tip->overlap / (tip->overlap - first) * (force - tip->force);
+            tip->state = 0;
+            tip->solves = 3;
+            tip->overlap = pushed(p, g, tip->force, reach, work, pivots);
+            if (!(fabs(tip->overlap) <= allowed))
+                return 0;
+            tip->overlap = 0.0;
+            tip->lack = fmax(0.0, limit - tip->force) * softest(p);
+        }
+    }
+    if (isnan(tip->overlap))
+        return 0;
+    for (int i = 0; i < n; i++)
         if (!(rows[SLID * n + i] * p->status[i] >= -allowed))
             return 0;
-    }
-    return (along_tip ? *overlap : -*overlap) >= -allowed;
+    return 1;
 }
 
 static PyObject *slide(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
@@ -278,19 +329,20 @@ static PyObject *slide(PyObject *module, PyObject *const *arguments, Py_ssize_t 
     Problem p;
     Guess g = {.factor = NULL};
     PyObject *answered = NULL;
-    double *work = NULL, tip = 0.0, overlap = 0.0;
+    double *work = NULL;
+    Tip tip = {.solves = 0};
     if (take(&p, &all, arguments) < 0 || take_guess(&g, &p, &all, arguments) < 0)
         goto end;
     double reach = set_up(&p, &g);
     int holds = 0;
-    if (g.factor != NULL && memchr(p.status, 0, (size_t)(p.n + 1)) == NULL) {
+    if (g.factor != NULL && memchr(p.status, 0, (size_t)p.n) == NULL) {
         int count = g.count, each = count / p.m;
         size_t room = (size_t)(count * (count + 1) + each * each) * sizeof(double);
         if ((work = PyMem_Malloc(room + (size_t)count * sizeof(int))) == NULL) {
             PyErr_NoMemory();
             goto end;
         }
-        holds = at_bounds(&p, &g, reach, work, (int *)((char *)work + room), &tip, &overlap);
+        holds = at_bounds(&p, &g, reach, work, (int *)((char *)work + room), &tip);
     }
     if (holds) {
         if (one_way(&p))
@@ -300,7 +352,8 @@ static PyObject *slide(PyObject *module, PyObject *const *arguments, Py_ssize_t 
             slip_after(&p, p.status);
         with_free(&p);
     }
-    answered = Py_BuildValue("Oddd", holds ? Py_True : Py_False, reach, tip, overlap);
+    answered = Py_BuildValue("Oddddii", holds ? Py_True : Py_False, reach, tip.force, tip.overlap,
+                             tip.lack, tip.state, tip.solves);
 end:
     PyMem_Free(work);
     release(&all);

@@ -156,7 +156,7 @@ class Balance:
         last = min(int(depth / h), track.laid - 2)  # the last point that the tip has passed
         bounds = friction.guess(status, last + 2)  # rows: the points passed and the one ahead
         held = max(1, last + (depth - h * last > LEAST * h))
-        stuck = 0 in bounds.tobytes()
+        stuck = 0 in bounds[:-1].tobytes()
         hold = None if stuck else self._hold_of(track.table, step, depth, held)
         reach = self._length + track.dent - step.after.reach(track.place(depth))
         free = step.free(track.table)

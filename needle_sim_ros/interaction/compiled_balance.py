@@ -97,7 +97,7 @@ class CompiledBalance:
                 hold.softness,
                 *hold.changes(),
             )
-        holds, reach, tip, overlap = _balance.slide(
+        holds, reach, tip, overlap, lack, state, solves = _balance.slide(
             numbers,
             *common,
             moved,
@@ -106,8 +106,12 @@ class CompiledBalance:
             fitted(memory.slid, n),
             *guess,
         )
-        lack, residual, solves = 0.0, 0.0, 1
-        if not holds:
+        residual = 0.0
+        if holds:
+            if state != status[-1]:
+                status = status.copy()
+                status[-1] = state
+        else:
             found_status = np.empty_like(status)
             found = _balance.bounded(
                 (*numbers[:_REACH], reach, *numbers[_REACH + 1 :]),

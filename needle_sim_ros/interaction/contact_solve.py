@@ -5,11 +5,12 @@ A is the compliance of tissue, needle and presliding, symmetric positive definit
 solution exists, is unique and depends on no history. From a tick to the next few variables
 change sides, and block principal pivoting (Portugal, Judice and Vicente 1994) finds these in
 one to three linear systems: all that are wrongly free or bound are exchanged, while they get
-fewer, give or take two times. Where they do not, projected Newton (Bertsekas 1982) goes on: variables at a bound
-that the gradient presses outwards stay there, the others take a Newton step, and the projected
-step is shortened until the objective falls by Armijo's rule. Every iteration lowers a strictly
-convex function and there are finitely many sets of bound variables, so it ends. Should rounding
-stall it all the same, pivots one at a time end by construction for any such matrix.
+fewer, give or take two times. Where they do not, projected Newton (Bertsekas 1982) goes on:
+variables at a bound that the gradient presses outwards stay there, the others take a Newton
+step, and the projected step is shortened until the objective falls by Armijo's rule. Every
+iteration lowers a strictly convex function and there are finitely many sets of bound variables,
+so it ends. Should rounding stall it all the same, pivots one at a time end by construction for
+any such matrix.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 """The forces between an inserted needle and its track, from compliances.
 
 Most ticks slide: every friction force stands at its limit, as it did the tick before. Then
-only the lateral forces are unknown, and a check of the other conditions stands for the
-bounded solve; where the check fails, the bounded problem is solved in full.
+only the lateral forces are unknown, and the tip's, and a check of the other conditions stands
+for the bounded solve; where the check fails, the bounded problem is solved in full.
 """
 
 from __future__ import annotations
@@ -109,7 +109,10 @@ class SlidingProblem:
     def sliding(
         self, hold: LateralHold, friction: Vector, status: NDArray[np.int8]
     ) -> TrackForces | None:
-        """Solve with friction and tip at guessed bounds; None if they do not hold.
+        """Solve with friction at guessed bounds; None if they do not hold.
+
+        Forces and displacements are linear in the tip force then: where neither of its bounds
+        holds, what the tip wants at both tells where it wants nothing.
 
         Parameters
         ----------
@@ -118,15 +121,39 @@ class SlidingProblem:
         friction : ndarray, shape (n,)
             At its limits, N.
         status : ndarray of int8, shape (n + 1,)
-            Which bounds these are, and last the tip's; none is 0.
+            Which bounds these are, none of them 0; and last a guess of the tip's.
         """
+        allowed = self.tolerance * max(float(self.elastic.max()), abs(self.reach))
+        state, bound = (-1, 0.0) if status[-1] < 0 else (1, self.tip_bound)
+        solves, found = 1, self._pushed(hold, friction, bound)
+        if state * found.overlap < -allowed:
+            state, bound, first = -state, self.tip_bound - bound, found
+            solves, found = 2, self._pushed(hold, friction, bound)
+            if state * found.overlap < -allowed:
+                part = found.overlap / (found.overlap - first.overlap)
+                solves, tip = 3, bound + part * (first.tip - bound)
+                state, found = 0, self._pushed(hold, friction, tip)
+                if abs(found.overlap) > allowed:
+                    return None
+        if float((found.slid * status[:-1]).min()) < -allowed:
+            return None
+        if state != status[-1]:
+            status = status.copy()
+            status[-1] = state
+        found = found._replace(status=status, solves=solves)
+        if state != 0:
+            return found
+        pressed = self._component(
+            len(self.pose.lateral), len(self.pose.lateral), *[len(friction)] * 2
+        )
+        softest = float(self.share @ pressed @ self.share) + self.tip_softness
+        return found._replace(overlap=0.0, lack=max(0.0, self.tip_bound - found.tip) * softest)
+
+    def _pushed(self, hold: LateralHold, friction: Vector, tip: float) -> TrackForces:
+        """Return what friction and a tip force come to; whether they may be is not looked at."""
         pose, k = self.pose, len(self.arclength)
-        tip, along_tip = 0.0, int(status[-1]) > 0
-        axial = friction
-        if along_tip:
-            tip = self.tip_bound
-            axial = tip * self.share
-            axial += friction
+        axial = tip * self.share
+        axial += friction
         right = (pose.origin - self.free) @ pose.lateral.T
         for a, gap in enumerate(right.T):
             gap -= self._component(a, len(pose.lateral), k, len(axial)) @ axial
@@ -138,14 +165,10 @@ class SlidingProblem:
         strain = self.presliding * friction
         slid = self.elastic - along
         slid -= strain
-        reach = self.reach - float(self.share @ along)
-        overlap = reach - self.tip_softness * tip
-        allowed = self.tolerance * max(float(self.elastic.max()), abs(self.reach))
-        onward = slid * status[:-1]
-        if float(onward.min()) < -allowed or (overlap if along_tip else -overlap) < -allowed:
-            return None
+        overlap = self.reach - float(self.share @ along) - self.tip_softness * tip
+        none = np.empty(0, dtype=np.int8)
         return TrackForces(
-            lateral, friction, tip, forces, moved, strain, slid, status, overlap, 0.0, 1
+            lateral, friction, tip, forces, moved, strain, slid, none, overlap, 0.0, 1
         )
 
     def _component(self, u: int, v: int, rows: int, columns: int) -> Vector:

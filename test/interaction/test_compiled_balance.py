@@ -129,8 +129,8 @@ def test_it_answers_what_it_was_asked(call):
     answers = [solve(*arguments) for _ in range(2)]
     assert answers[0] == answers[1]
     if solve.__name__ == "slide":
-        holds, reach, tip, overlap = answers[0]
-        assert holds
+        holds, reach, tip, overlap, lack, state, solves = answers[0]
+        assert (holds, lack, state, solves) == (True, 0.0, 1, 1)
         assert tip == pytest.approx(0.3)
         assert abs(overlap) < 1e-4
         assert reach > 0
@@ -150,7 +150,7 @@ def test_a_guess_that_leaves_something_free_is_not_tried(coarse_scene, monkeypat
 
     def kept(*arguments):
         found = slide(*arguments)
-        seen.append((arguments[8].all(), arguments[20] is not None, found[0]))
+        seen.append((arguments[8][:-1].all(), arguments[20] is not None, found[0]))
         return found
 
     monkeypatch.setattr(compiled_balance._balance, "slide", kept)
@@ -186,6 +186,49 @@ def test_too_few_arguments_are_refused(call):
     solve, arguments = call
     with pytest.raises(TypeError, match=f"{len(arguments)} arguments, not 3"):
         solve(*arguments[:3])
+
+
+@pytest.mark.parametrize("guess", [1, 0, -1])
+@pytest.mark.parametrize("push", [-1e-3, 0.0, 1e-5, 2e-3])
+def test_the_tip_comes_to_the_same_whatever_was_guessed(coarse_scene, monkeypatch, guess, push):
+    """With the needle a little back, the tip bears nothing, a part, or all it can."""
+    sim = Simulator(coarse_scene())
+    for _ in range(400):
+        sim.step(BaseCommand(velocity=(0, 0, -5e-3)), 0.01)
+    ways = {}
+    for compiled_way in (True, False):
+        balance = sim._contact_laws._balance
+        with monkeypatch.context() as patch:
+            solve = balance.inserted
+            found = []
+
+            def kept(
+                track,
+                step,
+                moved,
+                memory,
+                status,
+                depth,
+                limit,
+                solve=solve,
+                found=found,
+            ):
+                status = np.append(status[:-1], np.int8(guess))
+                found.append(solve(track, step, moved, memory, status, depth + push, limit))
+                return solve(track, step, moved, memory, status, depth, limit)
+
+            patch.setattr(balance, "inserted", kept)
+            if not compiled_way:
+                patch.setattr(balance, "_compiled", None)
+            before = sim.snapshot()
+            sim.step(BaseCommand(velocity=(0, 0, -5e-3)), 0.01)
+            sim.restore(before)
+        ways[compiled_way] = found[0]
+    one, other = ways[True], ways[False]
+    assert one.status[-1] == other.status[-1]
+    for name in ("tip", "overlap", "lack"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9, abs=1e-15)
+    np.testing.assert_allclose(one.forces, other.forces, rtol=0, atol=1e-12)
 
 
 def test_a_switch_keeps_to_numpy(monkeypatch):
