@@ -70,7 +70,7 @@ def _run(stop: threading.Event, managed: bool) -> int:
     # What exists now stays: a full garbage collection need not look through it each time.
     gc.collect()
     gc.freeze()
-    gc.disable()  # see Simulation: garbage is collected every ten seconds, outside the ticks
+    gc.disable()  # see ros/garbage.py: it is collected in pieces, outside the ticks
     spinning = Spinning(node, "executor", spun)
     node.start(failed)
     stop.wait()

@@ -38,6 +38,7 @@ _EVENTS: Encoders = (
     (channels.EVENTS, lambda stamp, event: channels.event_message(event[0], **event[1])),
 )
 _PATIENCE = 5e-3  # s that others wait for a tick: commands must not pile up behind slow ones
+_AWAKE = 1e-4  # s, within which a tick that is due has begun: who wakes with it may be faster
 ROOM = 1e-4  # s, in which whoever works beside the ticks does a piece of it
 _TICK_TIME: Encoders = ((channels.TICK_TIME, lambda stamp, took: cdr.float64(took)),)
 
@@ -171,7 +172,7 @@ class Plant:
             self.greet()
         left = self.time_left()
         if 0 < left < room:
-            time.sleep(left)
+            time.sleep(left + _AWAKE)
         if self._lock.acquire(timeout=_PATIENCE):
             self._lock.release()
 

@@ -6,7 +6,6 @@ The plain node and the managed node differ only in when they do this.
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,10 +16,11 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from needle_sim_ros.errors import NeedleSimError
-from needle_sim_ros.ros import interaction_parameters, parameters
+from needle_sim_ros.ros import garbage, interaction_parameters, parameters
 from needle_sim_ros.ros.clock_loop import ClockLoop
 from needle_sim_ros.ros.commands import StageCommands
 from needle_sim_ros.ros.diagnostics import Diagnostics
+from needle_sim_ros.ros.garbage import Garbage
 from needle_sim_ros.ros.identification import Identification
 from needle_sim_ros.ros.inputs import Inputs
 from needle_sim_ros.ros.outlet import Naming
@@ -36,7 +36,6 @@ from needle_sim_ros.session import channels
 from needle_sim_ros.session.channels import Channel
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-_GARBAGE_REPORTS = 10  # diagnostics between two collections of garbage
 _HEARERS_PERIOD = 0.05  # s, after which a new subscriber is noticed
 _CLOCK_POLL = 1e-3  # s, how often a clock from outside is looked at
 _QUIET = 1.0  # s between two warnings about commands
@@ -72,7 +71,7 @@ class Simulation:
         self._node = node
         self._undo: list[Callable[[], object]] = []
         self._beside: list[Callable[[], object]] = []  # ends what runs beside the ticks
-        self._lost = self._reports = 0
+        self._lost = 0
         self._quiet_until = 0.0
         self._inputs: Inputs | None = None
         self.active = True
@@ -173,7 +172,11 @@ class Simulation:
             self.plant, self.loop, inputs.publishers, lambda: self.priority, name
         )
         regularly = Regularly(
-            {self.outputs.refresh: _HEARERS_PERIOD, self._diagnose: _DIAGNOSTICS_PERIOD},
+            {
+                self.outputs.refresh: _HEARERS_PERIOD,
+                self._diagnose: _DIAGNOSTICS_PERIOD,
+                Garbage(self.plant.give_way).collect: garbage.PERIOD,
+            },
             partial(self.plant.give_way, ROOM),
             lambda error: node.get_logger().error(f"not done this time: {error!r}"),
         )
@@ -236,10 +239,6 @@ class Simulation:
                 self.plant.event("parameter", name=change.name, value=change.value)
 
     def _diagnose(self, pause: Pause) -> None:
-        self._reports += 1
-        if not gc.isenabled() and self._reports % _GARBAGE_REPORTS == 0:
-            gc.collect()  # holds up a tick or two at 1 kHz
-        pause()
         data = serialize_message(self._diagnostics.message(pause))
         self.outputs.sinks[channels.DIAGNOSTICS].publish(data)
         self.plant.record(channels.DIAGNOSTICS, data)

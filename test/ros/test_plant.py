@@ -9,7 +9,7 @@ import pytest
 from needle_sim_ros.ros import outlet
 from needle_sim_ros.ros.commands import StageCommands, StageLimits
 from needle_sim_ros.ros.outlet import Naming
-from needle_sim_ros.ros.plant import Plant
+from needle_sim_ros.ros.plant import _AWAKE, Plant
 from needle_sim_ros.session.history import History, motions_from_json
 from needle_sim_ros.session.motion import Motion
 from needle_sim_ros.session.reader import read_session
@@ -99,4 +99,5 @@ def test_who_needs_more_time_than_is_left_waits_for_the_next_tick(plant, monkeyp
     for left, room in ((5e-5, 1e-4), (2e-4, 1e-4), (-1e-3, 1e-4), (5e-5, 0.0)):
         plant.time_left = lambda left=left: left
         plant.give_way(room)
-    assert slept == [5e-5]  # but not where a tick is late already: it is under way, or waited for
+    # until it has begun; but not where it is late already: it is under way, or waited for
+    assert slept == [5e-5 + _AWAKE]
