@@ -8,6 +8,7 @@
 /* as in contact_solve.py */
 #define PATIENCE 10
 #define FEW_CHANCES 2
+#define BESIDE 1e-12
 
 /* The contact problem: min 1/2 x'Ax - b'x with low <= x <= high. */
 typedef struct {
@@ -127,7 +128,11 @@ static int exchange(Contact *c, double allowed, signed char *status)
         double worst = 0.0;
         if (newton(c, hold(c, status)) < 0)
             return 0;
-        memcpy(c->x, c->target, (size_t)c->size * sizeof(double));
+        for (int i = 0; i < c->size; i++) {
+            double nearest = clipped(c->target[i], c->low[i], c->high[i]);
+            int beside = fabs(c->target[i] - nearest) <= BESIDE * fabs(nearest);
+            c->x[i] = beside ? nearest : c->target[i];
+        }
         incline(c);
         for (int i = 0; i < c->size; i++) {
             int before = status[i];
@@ -138,8 +143,12 @@ static int exchange(Contact *c, double allowed, signed char *status)
                 status[i] = 0;
             wrong += status[i] != before;
         }
-        if (wrong == 0 && worst <= allowed)
+        if (wrong == 0 && worst <= allowed) {
+            for (int i = 0; i < c->size; i++) /* what nothing presses counts as free */
+                if (fabs(c->gradient[i]) <= allowed && c->low[i] < c->high[i])
+                    status[i] = 0;
             return iteration;
+        }
         chances -= wrong >= fewest;
         if (wrong == 0 || chances < 0)
             return -iteration;

@@ -30,6 +30,8 @@ _MOST_ITERATIONS = 50
 _PATIENCE = 10
 # runs of rows from which a block is gathered entry by entry
 _FEW_RUNS = 4
+# part of a bound by which rounding may take a free variable beyond it
+_BESIDE = 1e-12
 # block pivots without progress before projected Newton, and before single pivots
 _FEW_CHANCES, _CHANCES = 2, 10
 
@@ -97,11 +99,17 @@ class _Problem:
     low: Vector
     high: Vector
 
-    def held(self, state: NDArray[np.int8]) -> tuple[Vector, Vector]:
-        """Return x with the variables at their bounds and the rest at their minimum; gradient."""
+    def held(self, state: NDArray[np.int8], beside: float = 0.0) -> tuple[Vector, Vector]:
+        """Return x with the variables at their bounds and the rest at their minimum; gradient.
+
+        What is beyond a bound by less than a part of it is put there.
+        """
         x = np.where(state < 0, self.low, np.where(state > 0, self.high, 0.0))
         free = state == 0
         x[free] = _newton(self.matrix, self.right, x, free)
+        if beside:
+            nearest = np.clip(x, self.low, self.high)
+            x = np.where(np.abs(x - nearest) <= beside * np.abs(nearest), nearest, x)
         return x, self.matrix @ x - self.right
 
     def wrong(
@@ -122,10 +130,12 @@ def _exchanged(
     fewest, chances, iteration = len(state) + 1, _FEW_CHANCES, 0
     while True:
         iteration += 1
-        x, gradient = problem.held(state)
+        x, gradient = problem.held(state, _BESIDE)
         wrong, where = problem.wrong(state, x, gradient, allowed)
         count = int(np.count_nonzero(wrong))
         if count == 0 and np.abs(gradient[state == 0]).max(initial=0.0) <= allowed:
+            # what nothing presses against its bound counts as free
+            state[(np.abs(gradient) <= allowed) & (problem.low < problem.high)] = 0
             return ContactSolution(x, gradient, state, iteration)
         chances -= count >= fewest
         if count == 0 or chances < 0:

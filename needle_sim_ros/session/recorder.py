@@ -12,7 +12,7 @@ from needle_sim_ros.session.bag import Bag
 from needle_sim_ros.session.mcap_file import Entry
 
 _CAPACITY = 64 << 20
-_CHUNK = 1 << 20
+_CHUNK = 1 << 18
 _INTERVAL = 0.2
 _NOTHING: Counter[int] = Counter()
 _OVERHEAD = 120  # of a queued message beside its bytes

@@ -15,11 +15,14 @@ import numpy as np
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros.node_process import NodeProcess
 from needle_sim_ros.ros.soak.host import Reading, Undisturbed, stolen_time, undisturbed
+from needle_sim_ros.ros.soak.peer import HALF_PERIOD
 from needle_sim_ros.ros.soak.processes import Peer, open_files, resident_mb
 from needle_sim_ros.ros.soak.watch import Watch
 from needle_sim_ros.session.reader import read_session
 
-_WARM = 5.0  # s before memory and overruns count
+# before memory and overruns count: part of the steady load, and s after the first stroke in and
+# out, when the simulation has all the memory that it needs
+_WARM_PART, _AFTER_STROKE = 0.25, 4.0
 PRIORITY = 20.0  # of the clock loop, where the system permits it
 _LATENCY = 15.0  # s of measuring the latency, at most
 _LISTENERS = ("base_wrench", "tissue_markers")
@@ -99,7 +102,7 @@ def load(
             with Peer(domain, place / "heard", "subscribers", *_LISTENERS):
                 folder = Path(watch.record(True))
                 watch.wait_heard(_LISTENERS[-1])
-                _pass(watch, _WARM, advance)
+                _pass(watch, min(2 * HALF_PERIOD + _AFTER_STROKE, _WARM_PART * steady), advance)
                 before, memory, files = _state(watch, node.pid)
                 result.undisturbed = undisturbed(_readings(watch, steady, advance))
                 after, memory_after, _ = _state(watch, node.pid)
