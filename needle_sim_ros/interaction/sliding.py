@@ -143,9 +143,8 @@ class SlidingProblem:
         found = found._replace(status=status, solves=solves)
         if state != 0:
             return found
-        pressed = self._component(
-            len(self.pose.lateral), len(self.pose.lateral), *[len(friction)] * 2
-        )
+        m, n = len(self.pose.lateral), len(friction)
+        pressed = self._component(m, m, n, n)
         softest = float(self.share @ pressed @ self.share) + self.tip_softness
         return found._replace(overlap=0.0, lack=max(0.0, self.tip_bound - found.tip) * softest)
 
