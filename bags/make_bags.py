@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make the recorded sessions of this folder: ``python bags/make_bags.py steering|experiment``.
 
-`steering` is simulated as it stands. `experiment` is what a foreign system might have
+With ``OPENBLAS_NUM_THREADS=1`` set, as the package's commands do: only then do they replay to the
+bit. `steering` is simulated as it stands. `experiment` is what a foreign system might have
 recorded, made of a simulation: a finer mesh than the scenes', other parameters, sensor noise
 and bias, dropped messages, other frames, topics and clocks. It was never measured.
 """
