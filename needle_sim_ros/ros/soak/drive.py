@@ -97,6 +97,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         "lost_messages": loaded.lost,
         "missing_ticks_recorded": loaded.gaps,
         "rss_growth_mb": loaded.rss_growth,
+        "rss_growth_after_stroke_mb": loaded.rss_growth_after_stroke,
         "open_files_growth": loaded.files_growth,
         "tick_p50_ms": 1e3 * loaded.tick_p50,
         "tick_p99_ms": 1e3 * loaded.tick_p99,

@@ -20,9 +20,7 @@ from needle_sim_ros.ros.soak.processes import Peer, open_files, resident_mb
 from needle_sim_ros.ros.soak.watch import Watch
 from needle_sim_ros.session.reader import read_session
 
-# before memory and overruns count: part of the steady load, and s after the first stroke in and
-# out, when the simulation has all the memory that it needs
-_WARM_PART, _AFTER_STROKE = 0.25, 4.0
+_WARM = 5.0  # s before memory and overruns count
 PRIORITY = 20.0  # of the clock loop, where the system permits it
 _LATENCY = 15.0  # s of measuring the latency, at most
 _LISTENERS = ("base_wrench", "tissue_markers")
@@ -51,6 +49,7 @@ class Load:
     lost: int = 0
     gaps: int = 0
     rss_growth: float = 0.0
+    rss_growth_after_stroke: float | None = None
     files_growth: int = 0
     cycles: int = 0
     latencies: list[float] = field(default_factory=list)
@@ -102,12 +101,15 @@ def load(
             with Peer(domain, place / "heard", "subscribers", *_LISTENERS):
                 folder = Path(watch.record(True))
                 watch.wait_heard(_LISTENERS[-1])
-                _pass(watch, min(2 * HALF_PERIOD + _AFTER_STROKE, _WARM_PART * steady), advance)
+                _pass(watch, _WARM, advance)
                 before, memory, files = _state(watch, node.pid)
-                result.undisturbed = undisturbed(_readings(watch, steady, advance))
+                readings, settled = _readings(watch, node.pid, steady, advance)
+                result.undisturbed = undisturbed(readings)
                 after, memory_after, _ = _state(watch, node.pid)
                 result.ticks, result.overruns = _ticks(before, after)
                 result.rss_growth = memory_after - memory
+                if settled is not None:
+                    result.rss_growth_after_stroke = memory_after - settled
                 result.tick_p50 = float(after["tick_p50_ms"]) * 1e-3
                 result.tick_p99 = float(after["tick_p99_ms"]) * 1e-3
                 result.lateness_p99 = float(after["lateness_p99_ms"]) * 1e-3
@@ -162,16 +164,24 @@ def _pass(watch: Watch, duration: float, advance: Callable[[float], object]) -> 
         advance(min(1.0, left))
 
 
-def _readings(watch: Watch, duration: float, advance: Callable[[float], object]) -> list[Reading]:
-    """Let a time pass; return what each of the node's diagnostics in it said."""
+def _readings(
+    watch: Watch, pid: int, duration: float, advance: Callable[[float], object]
+) -> tuple[list[Reading], float | None]:
+    """Let a time pass; return what each of the node's diagnostics in it said.
+
+    And its memory after the first stroke in and out, MiB, None where that does not end.
+    """
     readings: list[Reading] = []
+    settled: float | None = None
     begin = now = time.monotonic()
     while now < begin + duration:
         said = watch.diagnostics()
         before, now = now, time.monotonic()
         readings.append(Reading(now, int(said["ticks"]), int(said["overruns"]), stolen_time()))
+        if settled is None and now >= begin + 2 * HALF_PERIOD:
+            settled = resident_mb(pid)
         advance(now - before)
-    return readings
+    return readings, settled
 
 
 def _state(watch: Watch, pid: int) -> tuple[dict[str, str], float, int]:
