@@ -20,8 +20,9 @@ from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.near_field import NearField, Turning
 from needle_sim_ros.tissue.response import Axes, Reading, ResponseRow, ResponseTable, Rows
 
-# how far ahead of the tip responses are prepared: track spacings, and at least so many m
-_FORESEEN, _AT_LEAST = 14, 0.03
+# how far ahead of the tip responses are prepared: track spacings, and at least so many m in
+# 2D and 3D; they cost tens of milliseconds a millimetre there, here one, and memory
+_FORESEEN, _AT_LEAST = 14, {2: 0.01, 3: 0.03}
 # ... and after how many new points they are looked at again
 _EVERY = 4
 # where on the pieces before and after a point the friction there is looked up
@@ -350,9 +351,10 @@ class TrackLayer:
         assert ahead is not None and ahead.point is not None
         if self.prepares and track.laid % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
-            reach = max(_FORESEEN * track.spacing, _AT_LEAST)
+            compliance = track.table.compliance
+            reach = max(_FORESEEN * track.spacing, _AT_LEAST[compliance.dimension])
             nodes = self.coupling.ahead(ahead.point, direction, reach)
-            track.table.compliance.expect(nodes)
+            compliance.expect(nodes)
         return track._replace(ahead=ahead._replace(asked=True))
 
     def weigh(self, track: Track) -> Track:
