@@ -26,7 +26,7 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
-from needle_sim_ros.substeps import Route, equal_parts
+from needle_sim_ros.substeps import Route, caught, equal_parts
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
 from needle_sim_ros.tissue.near_field import NearField, disc_radius
 from needle_sim_ros.tissue.response import ResponseTable
@@ -43,7 +43,8 @@ class Snapshot(NamedTuple):
     position: Vector
     orientation: Vector
     pose: BasePose
-    rate: tuple[float, ...] | None  # of the base in the last tick; None when contact changed
+    # of the base in the last tick; None when contact changed or caught tissue that moves
+    rate: tuple[float, ...] | None
     parts: int  # that the last tick was solved in
     process: Process
     contact: ContactState
@@ -195,14 +196,14 @@ class Simulator:
         steps, equal, settling = self._steps(state, motion, dt)
         advance, parts, altered = 0.0, 0, False
         for number in range(steps):
-            was = here.contact.touching, here.contact.inserted
+            was = here.contact
             halves = 2 if settling else 1
             for half in range(number * halves, (number + 1) * halves):
                 span = half / (halves * steps), (half + 1) / (halves * steps)
                 here, moved, count = self._stepper.carry_out(here, route, span, dt, equal, settling)
                 advance += moved
                 parts += count
-            altered = was != (here.contact.touching, here.contact.inserted)
+            altered = self._altered(was, here.contact)
             settling = altered and self._dynamics.settles
         contact = here.contact
         process = classify(contact.touching, contact.inserted, advance)
@@ -224,6 +225,12 @@ class Simulator:
         self.statistics.waits = self._dynamics.compliance.waits
         self.statistics.tick(time.perf_counter() - began, contact.solves, contact.residual)
         return self.observe()
+
+    def _altered(self, was: ContactState, now: ContactState) -> bool:
+        """Tell whether contact began or broke, or caught tissue that moves."""
+        if (was.touching, was.inserted) != (now.touching, now.inserted):
+            return True
+        return self._dynamics.settles and caught(was, now)
 
     def _checked(self, dt: float) -> float:
         dt = float(dt)

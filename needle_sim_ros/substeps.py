@@ -139,6 +139,19 @@ def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
     return half_spacings(way, spacing) if contact.inserted else 1
 
 
+def caught(before: ContactState, after: ContactState) -> bool:
+    """Tell whether points of the track that slid along the needle stick to it after a step.
+
+    What they move with there stops or starts at once: the tissue's velocity jumps, and the
+    friction that holds them would alternate from step to step.
+    """
+    sticks = after.status[:-1] == 0
+    if not sticks.any():
+        return False
+    held = min(len(sticks), len(before.status) - 1)
+    return held > 0 and bool((sticks[:held] & (before.status[:held] != 0)).any())
+
+
 def ends(contact: ContactState, way: float) -> tuple[float, ...]:
     """Return where to find the balance in a part of a tick, as shares of the part.
 

@@ -10,8 +10,8 @@ from needle_sim_ros import BaseCommand, CommandError
 from needle_sim_ros.base_motion import commanded
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
-from needle_sim_ros.interaction.state import AIMED
-from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, parts_of_step
+from needle_sim_ros.interaction.state import AIMED, ContactState
+from needle_sim_ros.substeps import FreeOnTheWay, Route, caught, check_way, ends, parts_of_step
 
 PLACE = np.array([0.01, 0.0, 0.14])
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
@@ -35,6 +35,25 @@ def test_a_straight_way_in_proportion(share):
 def test_a_turn_in_proportion(share):
     axial = route(angular_velocity=(0.0, 2.0, 0.0)).at(share).axial
     np.testing.assert_allclose(np.arctan2(-axial[0], -axial[1]), 0.2 * share, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sticks"),
+    [
+        ([1, 1, 1], [1, 0, 1], True),
+        ([-1, 1, 1], [0, 1, 1], True),
+        ([0, 1, 1], [0, 1, 1], False),
+        ([0, 1, 1], [1, -1, 1], False),
+        ([1, 1, 1], [1, 1, 0], False),  # the tip
+        ([1, 1], [1, 0, 1], False),  # a point that was not there
+        ([1, 1, 1], [0, 1], True),
+        ([], [0, 1], False),
+        ([0, 1], [], False),
+    ],
+)
+def test_points_that_slid_and_stick_are_caught(before, after, sticks):
+    states = [ContactState(status=np.array(each, dtype=np.int8)) for each in (before, after)]
+    assert caught(*states) is sticks
 
 
 def inserted(simulator, ticks=100):

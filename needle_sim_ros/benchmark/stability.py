@@ -28,8 +28,9 @@ def stability(
 
     Every cell must stay finite and bounded and be in equilibrium in every tick looked at,
     by an evaluation that shares nothing with the contact solve; its friction must not hang
-    on the presliding stiffness or the time step, nor what is left after a hold on the time
-    step or the solver's tolerance. Or it is refused, with the reason in its row.
+    on the presliding stiffness or the time step, nor alternate from tick to tick, nor what is
+    left after a hold hang on the time step or the solver's tolerance. Or it is refused, with
+    the reason in its row.
 
     Bounded means: displacements below the tissue's size; axial force below friction limit
     times inserted length plus the tip's limit; lateral force below twenty times what the
@@ -83,6 +84,7 @@ def stability(
         "worst_step_change": _worst(result.step_change for result in results),
         "worst_hold_change": _worst(result.hold_step_change for result in results),
         "worst_tolerance_change": _worst(result.tolerance_change for result in results),
+        "worst_ringing": _worst(result.ringing for result in results),
         "cell_ticks": sum(result.ticks for result in results),
         **{f"long_run_{name}": value for name, value in long.items()},
     }
@@ -146,4 +148,5 @@ def _row(result: CellResult) -> Row:
         "step_change": result.step_change,
         "hold_change": result.hold_step_change,
         "tolerance_change": result.tolerance_change,
+        "ringing": result.ringing,
     }

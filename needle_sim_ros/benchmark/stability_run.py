@@ -28,6 +28,8 @@ _CARRIED = 20.0
 _NOTHING = 1e-12
 # checks of equilibrium in a move, beside those at its end
 _CHECKS = 3
+# changes of direction in a row that are no motion any more
+_FLIPS = 4
 
 
 @dataclass
@@ -58,6 +60,24 @@ class Trace:
     ends: list[int] = field(default_factory=list)
     ticks: int = 0
 
+    @property
+    def ringing(self) -> float:
+        """By how much friction alternates from tick to tick in a move, as a fraction.
+
+        The least of a few alternations in a row, relative to the largest friction.
+        """
+        largest = max((abs(force) for force in self.friction), default=0.0)
+        worst, start = 0.0, 0
+        for end in self.ends:
+            change = np.diff(self.friction[start : end + 1])
+            start = end + 1
+            one, next_one = change[:-1], change[1:]
+            size = np.where(one * next_one < 0, np.minimum(np.abs(one), np.abs(next_one)), 0.0)
+            if len(size) >= _FLIPS:
+                rows = np.lib.stride_tricks.sliding_window_view(size, _FLIPS)
+                worst = max(worst, float(rows.min(axis=1).max()))
+        return worst / largest if largest else 0.0
+
 
 @dataclass
 class CellResult:
@@ -72,6 +92,7 @@ class CellResult:
     step_change: float | None = None
     hold_step_change: float | None = None
     tolerance_change: float | None = None
+    ringing: float | None = None
     ticks: int = 0
 
     def fail(self, reason: str) -> None:
@@ -199,6 +220,7 @@ def _judge(cell: Cell, result: CellResult) -> None:
     simulator = Simulator(scene)
     first = run_moves(simulator, cell.moves, dt, check=True)
     result.ticks, result.residual, result.condition = first.ticks, first.residual, first.condition
+    result.ringing = first.ringing
     if first.fault:
         result.fail(first.fault)
     if not first.residual <= RESIDUAL:
@@ -218,6 +240,8 @@ def _judge(cell: Cell, result: CellResult) -> None:
         value = getattr(result, name)
         if value is not None and not value <= CHANGE:
             result.fail(f"{name.replace('_', ' ')} {value:.2g}")
+    if not first.ringing <= CHANGE:
+        result.fail(f"friction that alternates by {first.ringing:.2g} from tick to tick")
     for other in (stiffer, finer):
         if other.fault:
             result.fail(f"varied: {other.fault}")
