@@ -50,6 +50,17 @@ def test_another_tissue_differs_and_the_tolerance_decides(recorded, coarse, tmp_
     assert status == 0 and result["beyond_tolerance"] == []
 
 
+def test_differences_of_rounding_are_told_from_others(recorded, tmp_path):
+    modulus = read_session(recorded / "bag").scene().tissue.youngs_modulus
+    results = []
+    for factor in (1 + 1e-13, 1.01):
+        changed = f"tissue.youngs_modulus={modulus * factor!r}"
+        status, result = replayed(recorded / "bag", tmp_path, "--set", changed)
+        assert status == 1 and result["beyond_tolerance"]
+        results.append(any("--tolerance 1e-09 takes them" in note for note in result["notes"]))
+    assert results == [True, False]
+
+
 def test_differences_are_those_of_the_series(recorded, tmp_path):
     out = tmp_path / "both"
     softer = ("--set", "tissue.youngs_modulus=12000")
