@@ -55,6 +55,7 @@ _OF_ROUNDING = (
     f" than the session was recorded on. --tolerance {_ROUNDING:g} takes them."
 )
 
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder or MCAP file")

@@ -116,7 +116,7 @@ class TrackGrowth:
             elif not ahead.asked:
                 if passed < _ASKED:
                     return track
-                track = layer.ask(track)
+                track = layer.ask(track, step.advance / step.duration)
             elif ahead.row is None:
                 done = len(ahead.columns) + ahead.beyond.known
                 if passed < _WEIGHED + _EACH_WEIGHED * done:

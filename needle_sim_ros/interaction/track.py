@@ -20,9 +20,11 @@ from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.near_field import NearField, Turning
 from needle_sim_ros.tissue.response import Axes, Reading, ResponseRow, ResponseTable, Rows
 
-# how far ahead of the tip responses are prepared: track spacings, and at least so many m in
-# 2D and 3D; they cost tens of milliseconds a millimetre there, here one, and memory
+# how far ahead of the tip responses are prepared: track spacings, at least so many m in 2D and
+# 3D, where they take tens of milliseconds a millimetre, and what the base goes in so many s,
+# up to so many m
 _FORESEEN, _AT_LEAST = 14, {2: 0.01, 3: 0.03}
+_LEAD, _FARTHEST = 0.6, 0.1
 # ... and after how many new points they are looked at again
 _EVERY = 4
 # where on the pieces before and after a point the friction there is looked up
@@ -345,14 +347,22 @@ class TrackLayer:
         shares = self.coupling.hat_shares(last, ahead.point, 2 * ahead.point - last)
         return track._replace(ahead=ahead._replace(shares=shares))
 
-    def ask(self, track: Track) -> Track:
-        """Have prepared beside the ticks what comes after the next point."""
+    def ask(self, track: Track, speed: float) -> Track:
+        """Have prepared beside the ticks what comes after the next point.
+
+        Parameters
+        ----------
+        track : Track
+        speed : float
+            At which the base goes along the needle, m/s.
+        """
         ahead = track.ahead
         assert ahead is not None and ahead.point is not None
         if self.prepares and track.laid % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
             compliance = track.table.compliance
-            reach = max(_FORESEEN * track.spacing, _AT_LEAST[compliance.dimension])
+            least = _AT_LEAST[compliance.dimension]
+            reach = max(_FORESEEN * track.spacing, least, min(_LEAD * speed, _FARTHEST))
             nodes = self.coupling.ahead(ahead.point, direction, reach)
             compliance.expect(nodes)
         return track._replace(ahead=ahead._replace(asked=True))

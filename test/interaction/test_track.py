@@ -40,7 +40,7 @@ def track(layer):
 
 
 def extended(layer, track, heading):
-    return layer.extend(layer.ask(layer.gather(layer.spread(layer.aim(track, heading)))))
+    return layer.extend(layer.ask(layer.gather(layer.spread(layer.aim(track, heading))), 0.0))
 
 
 # each heading turns the last segment, laid as it was foreseen, and the next point follows it
@@ -69,6 +69,25 @@ def test_a_turning_track_converges_with_the_square_of_the_spacing(coarse_scene, 
         end = 0.04 * np.array([1 - math.cos(math.pi / 4), -math.sin(math.pi / 4)])
         misses.append(np.linalg.norm(track.points[-2] - end))
     assert misses[1] < 0.3 * misses[0] < 0.3 * 2e-4
+
+
+def test_the_faster_the_farther_it_has_responses_prepared(layer, monkeypatch):
+    """In 2D 14 spacings, 28 mm here, or what the base goes in 0.6 s, 100 mm at most."""
+    compliance, asked = layer._empty.table.compliance, []
+    monkeypatch.setattr(compliance, "expect", asked.append)
+    track = layer.touch(np.zeros(2), DOWN)
+    while track.laid < 4:
+        track = layer.extend(layer.aim(track, DOWN))
+    aimed = layer.gather(layer.spread(layer.aim(track, DOWN)))
+    for speed in (-0.1, 1e-3, 0.06, 1.0):
+        layer.ask(aimed, speed)
+    depth = layer.coupling._model.coordinates[-1]
+    begun = aimed.ahead.point[-1]
+    reached = [begun - depth[nodes].min() for nodes in asked]
+    cell = 10e-3  # no larger anywhere near
+    assert reached[0] == reached[1] == pytest.approx(28e-3, abs=cell)
+    assert reached[2] == pytest.approx(36e-3, abs=cell) and reached[2] > reached[1]
+    assert reached[3] > 60e-3  # to the bottom
 
 
 def test_foresight_goes_on_turning(layer, track):
