@@ -48,7 +48,7 @@ EXAMPLES = (
 )
 
 
-# N, N m, m, 1: no sensor shows it, nor does a tick that took another turn
+# N, N m, m, 1: far above what another order of sums makes, far below what any sensor shows
 _ROUNDING = 1e-9
 _OF_ROUNDING = (
     "All differences are of rounding: numpy sums in another order on another kind of processor"
@@ -120,7 +120,7 @@ def execute(args: argparse.Namespace) -> int:
     factor = done.ticks * float(session.metadata["tick_period"]) / took
     print(table(_rows(differences, bad), title=f"replay of {scene.name}", align="<>><<"))
     notes = _notes(session, done, differences, compared)
-    if bad and all(differences[name].max_abs < _ROUNDING for name in differences):
+    if bad and all(entry.max_abs < _ROUNDING for entry in differences.values()):
         notes.append(_OF_ROUNDING)
     for note in notes:
         print(f"  {note}")
