@@ -30,8 +30,8 @@ _BEYOND = 0.5
 _FORESEEN, _SPREAD, _ASKED, _WEIGHED = 0.1, 0.54, 0.64, 0.68
 _APPENDED, _LAID = 0.91, 0.94
 # ... and from there to each further step of it: a footprint that is added up, a component
-# that is read where it is foreseen; and in weighing
-_EACH, _EACH_WEIGHED = 0.06, 0.04
+# that is read where it is foreseen; in asking, and in weighing
+_EACH, _EACH_ASKED, _EACH_WEIGHED = 0.06, 0.03, 0.04
 # after the components that are read
 _READ_BEYOND = 0.42
 
@@ -114,7 +114,7 @@ class TrackGrowth:
                     return track
                 track = layer.spread(track)
             elif not ahead.asked:
-                if passed < _ASKED:
+                if passed < _ASKED + (0.0 if ahead.onward is None else _EACH_ASKED):
                     return track
                 track = layer.ask(track, step.advance / step.duration)
             elif ahead.row is None:

@@ -17,6 +17,7 @@ from needle_sim_ros.interaction.coupling import Coupling, Shares, added_up
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.stretches import Stretch
 from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.mesh import Index
 from needle_sim_ros.tissue.near_field import NearField, Turning
 from needle_sim_ros.tissue.response import Axes, Reading, ResponseRow, ResponseTable, Rows
 
@@ -73,8 +74,10 @@ class NextPoint(NamedTuple):
     point, heading : ndarray, shape (d,), or None
         Its place, m, and the cut's unit direction when it was aimed.
     footprint : Footprint or None
+    onward : ndarray of int or None
+        Nodes that what comes after it will touch, where these are to be asked for next.
     asked : bool
-        Whether what comes after it was asked for.
+        Whether they were.
     rows : Rows or None
         Of the response table, and its own.
     columns : tuple of ndarray
@@ -93,6 +96,7 @@ class NextPoint(NamedTuple):
     point: Vector | None = None
     heading: Vector | None = None
     footprint: Footprint | None = None
+    onward: Index | None = None
     asked: bool = False
     rows: Rows | None = None
     columns: tuple[Vector, ...] = ()
@@ -350,6 +354,8 @@ class TrackLayer:
     def ask(self, track: Track, speed: float) -> Track:
         """Have prepared beside the ticks what comes after the next point.
 
+        Find out which nodes that is, then ask for them.
+
         Parameters
         ----------
         track : Track
@@ -358,14 +364,16 @@ class TrackLayer:
         """
         ahead = track.ahead
         assert ahead is not None and ahead.point is not None
-        if self.prepares and track.laid % _EVERY == 0:
+        compliance = track.table.compliance
+        if ahead.onward is not None:
+            compliance.expect(ahead.onward)
+        elif self.prepares and track.laid % _EVERY == 0:
             direction = (ahead.point - track.points[-1]) / track.spacing
-            compliance = track.table.compliance
             least = _AT_LEAST[compliance.dimension]
             reach = max(_FORESEEN * track.spacing, least, min(_LEAD * speed, _FARTHEST))
-            nodes = self.coupling.ahead(ahead.point, direction, reach)
-            compliance.expect(nodes)
-        return track._replace(ahead=ahead._replace(asked=True))
+            onward = self.coupling.ahead(ahead.point, direction, reach)
+            return track._replace(ahead=ahead._replace(onward=onward))
+        return track._replace(ahead=ahead._replace(onward=None, asked=True))
 
     def weigh(self, track: Track) -> Track:
         """Find out how the tissue answers to forces on the next point.

@@ -80,7 +80,9 @@ def test_the_faster_the_farther_it_has_responses_prepared(layer, monkeypatch):
         track = layer.extend(layer.aim(track, DOWN))
     aimed = layer.gather(layer.spread(layer.aim(track, DOWN)))
     for speed in (-0.1, 1e-3, 0.06, 1.0):
-        layer.ask(aimed, speed)
+        told = layer.ask(aimed, speed)
+        assert not told.ahead.asked  # which nodes these are is a step of its own
+        assert layer.ask(told, speed).ahead.asked
     depth = layer.coupling._model.coordinates[-1]
     begun = aimed.ahead.point[-1]
     reached = [begun - depth[nodes].min() for nodes in asked]
