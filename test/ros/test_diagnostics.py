@@ -68,3 +68,15 @@ def test_the_thread_says_with_which_priority_it_runs(priority):
     else:  # not permitted here
         assert "SCHED_FIFO: " in text
     assert os.sched_getscheduler(0) == os.SCHED_OTHER  # only that thread's
+
+
+def test_who_answers_a_service_is_not_held_up_by_other_processes(cell):
+    """It holds the interpreter lock that the ticks wait for; the ticks still go first."""
+    node = cell.start(realtime_priority=7.0)
+    answering = cell.spinners[-1]._thread.native_id
+    assert os.sched_getscheduler(answering) == os.SCHED_OTHER
+    cell.step()
+    cell.until(lambda: node.simulation.priority != "normal", "the clock loop's priority")
+    if node.simulation.priority.startswith("SCHED_FIFO"):  # permitted here
+        assert os.sched_getscheduler(answering) == os.SCHED_FIFO
+        assert os.sched_getparam(answering).sched_priority == 6
