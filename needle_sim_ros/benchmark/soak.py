@@ -48,6 +48,8 @@ class Plan:
         Nodes to kill, and as many to tell to end.
     rate : float
         Ticks per second, Hz.
+    dedicated_core : int
+        As the node's parameter, while it is under load.
     """
 
     steady: float
@@ -56,6 +58,7 @@ class Plan:
     hostile: int
     endings: int
     rate: float = RATE
+    dedicated_core: int = -1
 
     @property
     def hostile_seconds(self) -> float:
@@ -79,12 +82,12 @@ class Plan:
         )
 
 
-def plan(minutes: float | None, quick: bool) -> Plan:
-    """Return what to do: `minutes` of load, by default 10, or half a one when quick."""
+def plan(minutes: float | None, quick: bool, dedicated_core: int = -1) -> Plan:
+    """Return what to do: `minutes` of load, by default 10, or a third of one when quick."""
     steady = 60.0 * (minutes if minutes is not None else 0.35 if quick else 10.0)
     if quick:
-        return Plan(steady, min(steady, 10.0), 5, 1000, 2)
-    return Plan(steady, min(steady, 120.0), 100, 100_000, 50)
+        return Plan(steady, min(steady, 10.0), 5, 1000, 2, dedicated_core=dedicated_core)
+    return Plan(steady, min(steady, 120.0), 100, 100_000, 50, dedicated_core=dedicated_core)
 
 
 def soak(
@@ -92,6 +95,7 @@ def soak(
     quick: bool = False,
     progress: Callable[[int, int], object] = lambda done, total: None,
     minutes: float | None = None,
+    dedicated_core: int = -1,
     node: Drive | None = None,
 ) -> BenchmarkResult:
     """Soak the node; its tick is made the period of the rate.
@@ -106,6 +110,8 @@ def soak(
         Called with (done, total).
     minutes : float, optional
         Of steady load.
+    dedicated_core : int
+        Processor that the node's clock loop has to itself under load; -1: none.
     node : callable
         Drives the node; in the package `needle_sim_ros.ros.soak.drive.drive`.
 
@@ -116,7 +122,7 @@ def soak(
     """
     if node is None:
         raise NeedleSimError("benchmark soak drives the node: it needs ROS 2 (rclpy)")
-    todo = plan(minutes, quick)
+    todo = plan(minutes, quick, dedicated_core)
     scene = scene.with_changes({"solver.time_step": 1.0 / todo.rate})
     done = 0.0
 

@@ -33,6 +33,7 @@ EXAMPLES = (
     "benchmark rollouts --quick",
     "benchmark plan --quick",
     "benchmark soak --minutes 10 --json soak.json",
+    "benchmark soak --minutes 1 --dedicated-core 1",
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
@@ -101,6 +102,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         help="minutes of steady load (default: 10, or with --quick a third of one)",
     )
+    soak.add_argument(
+        "--dedicated-core",
+        metavar="N",
+        type=int,
+        help="processor that the node under load has to itself, as its parameter (default: none)",
+    )
 
 
 def _positive(text: str) -> float:
@@ -164,6 +171,8 @@ def _check_options(args: argparse.Namespace) -> None:
         raise NeedleSimError(f"--targets {args.targets}: must be at least 1")
     if args.minutes is not None and args.benchmark != "soak":
         raise NeedleSimError("--minutes: only benchmark soak has it")
+    if args.dedicated_core is not None and args.benchmark != "soak":
+        raise NeedleSimError("--dedicated-core: only benchmark soak has it")
     check_picture(args.plot)
 
 
@@ -198,7 +207,10 @@ def _recommend(result: BenchmarkResult, args: argparse.Namespace) -> int:
 
 def _more(args: argparse.Namespace) -> dict[str, Any]:
     """Return what a benchmark measures the node with, where ROS is installed."""
-    more: dict[str, Any] = {"minutes": args.minutes} if args.benchmark == "soak" else {}
+    more: dict[str, Any] = {}
+    if args.benchmark == "soak":
+        core = -1 if args.dedicated_core is None else args.dedicated_core
+        more = {"minutes": args.minutes, "dedicated_core": core}
     if args.benchmark == "plan":
         more = {"targets": args.targets, "results": args.results}
     if args.benchmark in _NODE and find_spec("rclpy") is not None:

@@ -37,3 +37,21 @@ def test_minutes_that_are_none_are_refused(minutes, capsys):
 def test_only_the_soak_has_minutes(capsys):
     assert main(["benchmark", "speed", "--minutes", "1"]) == 2
     assert "only benchmark soak" in capsys.readouterr().err
+
+
+def test_only_the_soak_has_a_dedicated_core(capsys):
+    assert main(["benchmark", "speed", "--dedicated-core", "1"]) == 2
+    assert "only benchmark soak" in capsys.readouterr().err
+
+
+def test_a_core_of_its_own_is_for_the_load():
+    assert plan(None, quick=False).dedicated_core == -1
+    assert plan(None, quick=False, dedicated_core=1).dedicated_core == 1
+    assert plan(None, quick=True, dedicated_core=1).dedicated_core == 1
+
+
+@pytest.mark.parametrize("core", ["4095", "-2"])
+def test_a_core_that_is_none_is_refused(core, capsys):
+    pytest.importorskip("rclpy")
+    assert main(["benchmark", "soak", "--quick", "--dedicated-core", core]) == 2
+    assert f"dedicated_core = {core}: must be one of" in capsys.readouterr().err

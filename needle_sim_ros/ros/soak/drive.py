@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros.domain import free_domain
+from needle_sim_ros.ros.own_core import why_not
 from needle_sim_ros.ros.soak.endings import end_nodes
 from needle_sim_ros.ros.soak.hostility import provoke
 from needle_sim_ros.ros.soak.idle import idle_overruns
@@ -54,7 +56,16 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         How long and how often.
     advance : callable
         Told of the share of the work done since the last call.
+
+    Raises
+    ------
+    NeedleSimError
+        When the plan's processor cannot be had, or the node ends.
     """
+    core = plan.dedicated_core
+    reason = why_not(core) if core != -1 else ""
+    if reason:
+        raise NeedleSimError(f"dedicated_core = {core}: {reason}")
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with _unwinding(), tempfile.TemporaryDirectory(prefix="needle_sim_soak_") as folder:
         place = Path(folder)
@@ -64,7 +75,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         domain = free_domain()
         total = plan.seconds
         loaded = load(
-            parameters,
+            {**parameters, "dedicated_core": core},
             domain,
             place,
             plan.steady,
@@ -103,6 +114,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         "tick_p99_ms": 1e3 * loaded.tick_p99,
         "lateness_p99_ms": 1e3 * loaded.lateness_p99,
         "realtime_priority": float(loaded.realtime),
+        "dedicated_core": float(core),
         "latency_median_ticks": float(np.median(latencies)) if measured else None,
         "latency_p99_ticks": float(np.percentile(latencies, 99)) if measured else None,
         "latency_samples": len(latencies),
