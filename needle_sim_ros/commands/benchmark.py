@@ -52,6 +52,11 @@ _NODE = {
     "speed": ("needle_sim_ros.ros.loop_measurement", "measure_loop"),
     "soak": ("needle_sim_ros.ros.soak.drive", "drive"),
 }
+_ONLY = {
+    "accuracy": ("plot", "budget", "error"),
+    "plan": ("targets", "results"),
+    "soak": ("minutes", "dedicated_core"),
+}
 # what a benchmark runs on unless told: the scene that it is about
 _SCENES = {"tips": "bevel_gelatin_22g"}
 
@@ -161,18 +166,13 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    given = [name for name in ("plot", "budget", "error") if getattr(args, name) is not None]
-    if given and args.benchmark != "accuracy":
-        raise NeedleSimError(f"--{given[0]}: only benchmark accuracy has it")
-    given = [name for name in ("targets", "results") if getattr(args, name) is not None]
-    if given and args.benchmark != "plan":
-        raise NeedleSimError(f"--{given[0]}: only benchmark plan has it")
+    for benchmark, options in _ONLY.items():
+        given = [name for name in options if getattr(args, name) is not None]
+        if given and args.benchmark != benchmark:
+            option = given[0].replace("_", "-")
+            raise NeedleSimError(f"--{option}: only benchmark {benchmark} has it")
     if args.targets is not None and args.targets < 1:
         raise NeedleSimError(f"--targets {args.targets}: must be at least 1")
-    if args.minutes is not None and args.benchmark != "soak":
-        raise NeedleSimError("--minutes: only benchmark soak has it")
-    if args.dedicated_core is not None and args.benchmark != "soak":
-        raise NeedleSimError("--dedicated-core: only benchmark soak has it")
     check_picture(args.plot)
 
 
