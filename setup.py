@@ -45,6 +45,7 @@ setup(
         compiled("interaction/_balance"),
         compiled("interaction/_readings"),
         compiled("ros/_wait"),
+        compiled("session/_messages"),
         compiled("tissue/_grid"),
         compiled("tissue/_modal"),
         compiled("tissue/_products"),

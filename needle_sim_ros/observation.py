@@ -38,6 +38,8 @@ class Observation:
         Tissue frame, m.
     base_orientation : ndarray, shape (4,)
         Quaternion x y z w, base to tissue frame.
+    markers : ndarray, shape (n, 3)
+        Where the markers are in the tissue at rest, tissue frame, m.
     """
 
     time: float
@@ -45,12 +47,12 @@ class Observation:
     insertion_depth: float
     base_position: Vector
     base_orientation: Vector
+    markers: Vector = field(repr=False)
     _scene: Scene = field(repr=False)
     _pose: BasePose = field(repr=False)
     _contact: ContactState = field(repr=False)
     _dynamics: Dynamics = field(repr=False)
     _tissue: Any = field(repr=False)
-    _markers: Vector = field(repr=False)
     _empty: ResponseTable = field(repr=False)
 
     def _bent(self, at: Vector) -> Vector:
@@ -142,15 +144,20 @@ class Observation:
     @lazily
     def marker_displacements(self) -> Vector:
         """Displacements of the markers, tissue frame, (n, 3), m."""
-        if len(self._markers) == 0:
-            return np.zeros((0, 3))
+        return self._world(self.marker_shifts)
+
+    @lazily
+    def marker_shifts(self) -> Vector:
+        """The same in the coordinates of the mesh (x z in 2D, x y z in 3D), (n, d), m."""
+        if len(self.markers) == 0:
+            return np.zeros((0, len(self._pose.axial)))
         moved = self._dynamics.at_readers(self._tissue, *self.loaded())
-        return self._world(moved.reshape(len(self._markers), -1))
+        return moved.reshape(len(self.markers), -1)
 
     @lazily
     def marker_positions(self) -> Vector:
         """Positions of the markers now, tissue frame, (n, 3), m."""
-        return np.asarray(self._markers + self.marker_displacements)
+        return np.asarray(self.markers + self.marker_displacements)
 
     def tissue_field(self) -> Vector:
         """Return the displacement of all nodes of the mesh, (nodes, d), m; costs a solve."""

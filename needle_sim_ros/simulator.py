@@ -269,12 +269,12 @@ class Simulator:
                 s.contact.depth if s.contact.inserted else 0.0,
                 s.position,
                 s.orientation,
+                self._markers,
                 self.scene,
                 s.pose,
                 s.contact,
                 self._dynamics,
                 s.tissue,
-                self._markers,
                 self._empty,
             )
         return self._observation

@@ -171,6 +171,7 @@ class StageCommands:
         return reason
 
     def _take(self, motion: Motion, now: float) -> None:
+        motion.command()  # made here, beside the ticks
         self._newest = _Command(motion, now)
         self.received += 1
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from needle_sim_ros.errors import SessionError
 from needle_sim_ros.session.bag import FolderTakenError, Split, new_folder
 from needle_sim_ros.session.channels import Channel
+from needle_sim_ros.session.encoding import Encoders
 from needle_sim_ros.session.recorder import RecorderStatus
 from needle_sim_ros.session.writer import SessionWriter
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from needle_sim_ros.scene import Scene
     from needle_sim_ros.session.history import History
 
-Encoders = Sequence[tuple[Channel, Callable[[int, Any], bytes]]]
 _NAMES = 100  # tries for a folder's name that no other node takes at the same time
 
 
@@ -83,18 +83,23 @@ class Outlet:
     def emit(self, stamp: int, *parts: tuple[Any, Encoders]) -> None:
         """Publish and record messages of one simulated time, ns, as far as they are wanted.
 
-        Each part is a subject and, by channel, what makes the bytes of a stamp and that.
+        Each part is a subject and what makes its messages.
         """
-        session, recorded, sinks = self._session, [], self._sinks
+        session, sinks = self._session, self._sinks
+        recorded: list[tuple[Channel, bytes]] = []
         for subject, encoders in parts:
-            for channel, encode in encoders:
+            if session is None:
+                for channel, encode in encoders.each:
+                    sink = sinks.get(channel)
+                    if sink is not None and sink.wanted():
+                        sink.publish(encode(stamp, subject))
+                continue
+            made = encoders.together(stamp, subject)
+            for (channel, _), data in zip(encoders.each, made, strict=True):
+                recorded.append((channel, data))
                 sink = sinks.get(channel)
                 if sink is not None and sink.wanted():
-                    data = encode(stamp, subject)
-                    recorded.append((channel, data))
                     sink.publish(data)
-                elif session is not None:
-                    recorded.append((channel, encode(stamp, subject)))
         if session is not None:
             session.write(self.epoch + stamp, recorded)
 

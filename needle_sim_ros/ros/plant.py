@@ -15,12 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros.commands import Numbers, StageCommands
-from needle_sim_ros.ros.outlet import Encoders, Naming, Outlet, Sink
+from needle_sim_ros.ros.outlet import Naming, Outlet, Sink
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.session import cdr, channels
+from needle_sim_ros.session import cdr, channels, encoding
 from needle_sim_ros.session.bag import NO_SPLIT, Split
 from needle_sim_ros.session.channels import Channel
 from needle_sim_ros.session.history import History
@@ -34,13 +33,9 @@ if TYPE_CHECKING:
     from needle_sim_ros.observation import Observation
     from needle_sim_ros.statistics import Statistics
 
-_EVENTS: Encoders = (
-    (channels.EVENTS, lambda stamp, event: channels.event_message(event[0], **event[1])),
-)
 _PATIENCE = 5e-3  # s that others wait for a tick: commands must not pile up behind slow ones
 _AWAKE = 1e-4  # s, within which a tick that is due has begun: who wakes with it may be faster
 ROOM = 1e-4  # s, in which whoever works beside the ticks does a piece of it
-_TICK_TIME: Encoders = ((channels.TICK_TIME, lambda stamp, took: cdr.float64(took)),)
 
 
 class Plant:
@@ -85,16 +80,13 @@ class Plant:
         self._known = threading.local()
         self._simulator = Simulator(scene)
         self._simulator.prepare_beside()
-        encoders = channels.output_encoders(naming.tissue_frame, naming.base_frame)
-        motions = channels.motion_encoders(naming.tissue_frame)
-        self._encoders = tuple(encoders.items())
-        self._motion_encoders = {kind: (encoder,) for kind, encoder in motions.items()}
+        self._encoders = encoding.output_encoders(naming.tissue_frame, naming.base_frame)
+        self._motion_encoders = encoding.motion_encoders(naming.tissue_frame)
         self._outlet = Outlet(naming, sinks, partial(self.give_way, ROOM))
         self._warn = warn
         self._lock = threading.Lock()
         self._setting = threading.Lock()  # for what keeps a scene through more than one tick
         self._history = History()
-        self._command: tuple[Motion, BaseCommand] = (STILL, STILL.command())
         self._begin()
 
     @property
@@ -244,7 +236,7 @@ class Plant:
 
     def _event(self, event: str, **details: object) -> None:
         details = {"time": self.time, "ticks": self.ticks, **details}
-        self._outlet.emit(self.stamp, ((event, details), _EVENTS))
+        self._outlet.emit(self.stamp, ((event, details), encoding.EVENT_ENCODERS))
 
     def _begin(self) -> None:
         base = self.scene.base
@@ -272,29 +264,24 @@ class Plant:
             stamp,
             (observation, self._encoders),
             (motion, self._motion_encoders[motion.kind]),
-            (self._simulator.statistics.last_tick_time, _TICK_TIME),
+            (self._simulator.statistics.last_tick_time, encoding.TICK_TIME_ENCODERS),
         )
 
     def _step(self) -> tuple[Observation, Motion] | None:
         """Step by the command in force, or stand still where the simulator refuses it."""
         motion = self.commands.motion(self._position, self._orientation, self.time, self.period)
         try:
-            return self._simulator.step(self._command_of(motion), self.period), motion
+            return self._simulator.step(motion.command(), self.period), motion
         except NeedleSimError as error:
             self.commands.refuse_current(type(error).__name__)
             self._event("command refused", reason=str(error))
             self._warn(f"command refused: {error}")
         try:
-            return self._simulator.step(self._command_of(STILL), self.period), STILL
+            return self._simulator.step(STILL.command(), self.period), STILL
         except NeedleSimError as error:
             self.failed_ticks += 1
             self.last_failure = str(error)
             return None
-
-    def _command_of(self, motion: Motion) -> BaseCommand:
-        if motion is not self._command[0]:
-            self._command = motion, motion.command()
-        return self._command[1]
 
 
 def changed_scene(scene: Scene, changes: Mapping[str, object]) -> Scene:

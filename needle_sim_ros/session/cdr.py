@@ -20,6 +20,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 Packer = Callable[[int, Sequence[float]], bytes]
 _SECOND = 1_000_000_000
 _FLOAT32, _UINT32 = 7, 6  # sensor_msgs/PointField
+_WORDS = 7  # of a point of a cloud
 
 
 def text(value: str) -> bytes:
@@ -38,19 +39,24 @@ def clock(stamp: int) -> bytes:
     return struct.pack("<4siI", ENCAPSULATION, *divmod(stamp, _SECOND))
 
 
+def header(frame_id: str) -> bytes:
+    """Return how a message begins that has a header, and doubles after it; its stamp is 0."""
+    frame = frame_id.encode() + b"\x00"
+    room = len(frame) + (-12 - len(frame)) % 8
+    return struct.pack(f"<4siII{room}s", ENCAPSULATION, 0, 0, len(frame), frame)
+
+
 def stamped_doubles(frame_id: str, count: int) -> Packer:
     """Return a packer of messages that are a header and `count` doubles.
 
     `Vector3Stamped` has 3, `WrenchStamped` and `TwistStamped` 6, `PoseStamped` 7
     (position, quaternion x y z w). The packer takes the stamp in ns and the numbers.
     """
-    frame = frame_id.encode() + b"\x00"
-    room = len(frame) + (-12 - len(frame)) % 8
-    pack = struct.Struct(f"<4siII{room}s{count}d").pack
-    length = len(frame)
+    after = header(frame_id)[12:]
+    pack = struct.Struct(f"<4siI{len(after)}s{count}d").pack
 
     def encode(stamp: int, values: Sequence[float]) -> bytes:
-        return pack(ENCAPSULATION, *divmod(stamp, _SECOND), length, frame, *values)
+        return pack(ENCAPSULATION, *divmod(stamp, _SECOND), after, *values)
 
     return encode
 
@@ -73,49 +79,50 @@ def read_stamped_doubles(data: bytes, count: int) -> tuple[str, tuple[float, ...
     return frame.decode("ascii"), struct.unpack_from(f"<{count}d", data, begin)
 
 
+def blank_cloud(frame_id: str, n: int) -> bytes:
+    """Return a `PointCloud2` of n points x y z dx dy dz (float32, m) and id (uint32).
+
+    All but the ids is 0; one byte follows the points.
+    """
+    kinds = [(name, _FLOAT32) for name in ("x", "y", "z", "dx", "dy", "dz")] + [("id", _UINT32)]
+    body = bytearray(8)  # the stamp
+    _put_string(body, frame_id)
+    _put(body, "<II", 4, 1, n)
+    _put(body, "<I", 4, len(kinds))
+    for k, (name, datatype) in enumerate(kinds):
+        _put_string(body, name)
+        _put(body, "<I", 4, 4 * k)
+        _put(body, "<B", 1, datatype)
+        _put(body, "<I", 4, 1)
+    _put(body, "<B", 1, 0)
+    _put(body, "<III", 4, 4 * _WORDS, 4 * _WORDS * n, 4 * _WORDS * n)
+    points = np.zeros((n, _WORDS), "<u4")
+    points[:, -1] = np.arange(n)
+    return ENCAPSULATION + bytes(body) + points.tobytes() + b"\x01"
+
+
 def marker_cloud(
     frame_id: str,
 ) -> Callable[[int, NDArray[np.float64], NDArray[np.float64]], bytes]:
-    """Return a packer of `PointCloud2` with x y z dx dy dz (float32, m) and id (uint32).
+    """Return a packer of clouds like :func:`blank_cloud`.
 
     The packer takes the stamp in ns, the positions (n, 3) and the displacements (n, 3).
     """
-    names = ("x", "y", "z", "dx", "dy", "dz", "id")
-    step = 4 * len(names)
     pack_stamp = struct.Struct("<iI").pack_into
-    fields = [(name, 4 * k, _UINT32 if name == "id" else _FLOAT32) for k, name in enumerate(names)]
-    cache: dict[int, tuple[bytearray, NDArray[np.float32], NDArray[np.float32]]] = {}
-
-    def message(n: int) -> tuple[bytearray, NDArray[np.float32], NDArray[np.float32]]:
-        """Return a message of n points, and where their positions and displacements go."""
-        body = bytearray(8)  # the stamp
-        _put_string(body, frame_id)
-        _put(body, "<II", 4, 1, n)
-        _put(body, "<I", 4, len(fields))
-        for name, offset, datatype in fields:
-            _put_string(body, name)
-            _put(body, "<I", 4, offset)
-            _put(body, "<B", 1, datatype)
-            _put(body, "<I", 4, 1)
-        _put(body, "<B", 1, 0)
-        _put(body, "<III", 4, step, step * n, step * n)
-        begin = len(ENCAPSULATION) + len(body)
-        whole = bytearray(ENCAPSULATION + body + bytes(step * n) + b"\x01")
-        words = np.frombuffer(whole, "<u4", len(names) * n, begin).reshape(n, len(names))
-        words[:, 6] = np.arange(n)
-        numbers = words.view("<f4")
-        return whole, numbers[:, :3], numbers[:, 3:6]
+    cache: dict[int, tuple[bytearray, NDArray[np.float32]]] = {}
 
     def encode(
         stamp: int, positions: NDArray[np.float64], displacements: NDArray[np.float64]
     ) -> bytes:
         n = len(positions)
         if n not in cache:
-            cache[n] = message(n)
-        whole, where, moved = cache[n]
+            whole = bytearray(blank_cloud(frame_id, n))
+            begin = len(whole) - 1 - 4 * _WORDS * n
+            cache[n] = whole, np.frombuffer(whole, "<f4", _WORDS * n, begin).reshape(n, _WORDS)
+        whole, numbers = cache[n]
         pack_stamp(whole, len(ENCAPSULATION), *divmod(stamp, _SECOND))
-        where[...] = positions
-        moved[...] = displacements
+        numbers[:, :3] = positions
+        numbers[:, 3:6] = displacements
         return bytes(whole)
 
     return encode

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needle_sim_ros.session.channels import tip_orientation
+from needle_sim_ros.session.encoding import tip_orientation
 from needle_sim_ros.session.series import Array, Series
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import mmap
+import struct
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -17,6 +18,7 @@ from needle_sim_ros.session.motion import Motion
 
 _LIMIT = 50_000
 _ROW = 9  # is a pose, number of ticks, up to seven numbers
+_PACK = {"pose": struct.Struct("=9d").pack_into, "velocity": struct.Struct("=8d").pack_into}
 _NO_ROWS = np.empty((0, _ROW))
 
 
@@ -52,12 +54,13 @@ class History:
         if self._last is not None and self.complete:
             if self._used == 0:
                 self._rows = _room(self._limit)
-            values = self._last.values()
-            row = self._rows[self._used]
-            row[0], row[1], row[2 : 2 + len(values)] = (
-                self._last.kind == "pose",
+            last = self._last
+            _PACK[last.kind](
+                self._rows.data,
+                8 * _ROW * self._used,
+                last.kind == "pose",
                 self._count,
-                values,
+                *last.values(),
             )
             self._used += 1
             if self._used == self._limit:

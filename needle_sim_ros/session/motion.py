@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -38,6 +38,7 @@ class Motion:
     kind: Literal["pose", "velocity"]
     linear: Numbers | None
     angular: Numbers | None
+    _command: BaseCommand | None = field(default=None, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, command: BaseCommand) -> Motion:
@@ -57,10 +58,15 @@ class Motion:
         return (self.linear or (math.nan,) * 3) + (self.angular or (math.nan,) * width)
 
     def command(self) -> BaseCommand:
-        """Return the base command."""
-        if self.kind == "pose":
-            return BaseCommand(position=self.linear, orientation=self.angular)
-        return BaseCommand(velocity=self.linear, angular_velocity=self.angular)
+        """Return the base command, always the same."""
+        command = self._command
+        if command is None:
+            if self.kind == "pose":
+                command = BaseCommand(position=self.linear, orientation=self.angular)
+            else:
+                command = BaseCommand(velocity=self.linear, angular_velocity=self.angular)
+            object.__setattr__(self, "_command", command)
+        return command
 
 
 STILL = Motion("velocity", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from needle_sim_ros.errors import NeedleSimError, SessionError
 from needle_sim_ros.session import channels
 from needle_sim_ros.session.collect import Collector
+from needle_sim_ros.session.encoding import output_encoders
 from needle_sim_ros.session.motion import STILL, Motion
 from needle_sim_ros.session.reader import Recorded
 from needle_sim_ros.session.writer import nanoseconds
@@ -155,20 +156,21 @@ def replay(
     SessionError
         When the simulator refuses a tick, with its time.
     """
-    encoders = channels.output_encoders(about["tissue_frame"], about["base_frame"])
-    encoders = encoders if messages else {}
-    outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in encoders}
+    encoders = output_encoders(about["tissue_frame"], about["base_frame"])
+    written = channels.OUTPUTS if messages else ()
+    outputs: dict[str, tuple[list[int], list[bytes]]] = {c.role: ([], []) for c in written}
     collector = Collector(len(ticks), len(simulator.scene.markers))
     for tick, observation in steps(simulator, ticks, float(about["tick_period"])):
         advance()
         if tick.log_time is None:
             continue
         collector.add(tick.log_time, observation)
-        stamp = nanoseconds(observation.time)
-        for channel, encode in encoders.items():
-            times, rows = outputs[channel.role]
+        if not messages:
+            continue
+        made = encoders.together(nanoseconds(observation.time), observation)
+        for (times, rows), data in zip(outputs.values(), made, strict=True):
             times.append(tick.log_time)
-            rows.append(encode(stamp, observation))
+            rows.append(data)
     held = sum(tick.held for tick in ticks)
     series = collector.series(simulator.scene.to_yaml(), about)
     return Replay(series, len(ticks), held, outputs)
@@ -184,16 +186,16 @@ def steps(
     SessionError
         When the simulator refuses a tick, with its time.
     """
-    motion, command = STILL, STILL.command()
+    motion = STILL
     for tick in ticks:
         if tick.reset:
             simulator.reset()
         for changes in tick.changes:
             simulator.change_interaction(changes)
         if tick.motion != motion:
-            motion, command = tick.motion, tick.motion.command()
+            motion = tick.motion
         try:
-            observation = simulator.step(command, period)
+            observation = simulator.step(motion.command(), period)
         except NeedleSimError as error:
             when = (
                 "before the recording" if tick.log_time is None else f"{tick.log_time * 1e-9:g} s"

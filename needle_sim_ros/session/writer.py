@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session import cdr, channels
+from needle_sim_ros.session import channels, encoding
 from needle_sim_ros.session.about import versions
 from needle_sim_ros.session.attached_mesh import mesh_attachment
 from needle_sim_ros.session.bag import NO_SPLIT, Bag, Split, Topic
@@ -86,8 +86,8 @@ class SessionWriter:
     ) -> None:
         self.folder = folder
         self._give_way = give_way
-        self._encoders = channels.output_encoders(tissue_frame, base_frame)
-        self._motion_encoders = channels.motion_encoders(tissue_frame)
+        self._encoders = encoding.output_encoders(tissue_frame, base_frame)
+        self._motion_encoders = encoding.motion_encoders(tissue_frame)
         everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
         topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
         scene_text = scene.to_yaml().encode()
@@ -153,11 +153,13 @@ class SessionWriter:
     ) -> None:
         """Record all outputs of a tick, the motion it applied, and how long it took, s."""
         time = nanoseconds(observation.time)
-        messages = [(c, encode(time, observation)) for c, encode in self._encoders.items()]
-        channel, encode_motion = self._motion_encoders[motion.kind]
-        messages.append((channel, encode_motion(time, motion)))
+        parts = [(observation, self._encoders), (motion, self._motion_encoders[motion.kind])]
         if tick_time is not None:
-            messages.append((channels.TICK_TIME, cdr.float64(tick_time)))
+            parts.append((tick_time, encoding.TICK_TIME_ENCODERS))
+        messages: list[tuple[Channel, bytes]] = []
+        for subject, encoders in parts:
+            made = encoders.together(time, subject)
+            messages += [(c, data) for (c, _), data in zip(encoders.each, made, strict=True)]
         self.write(time, messages)
 
     def close(self, timeout: float = 5.0) -> RecorderStatus:

@@ -18,7 +18,7 @@ from needle_sim_ros.ros.node_process import NodeProcess
 from needle_sim_ros.ros.soak.hostile import hostile_message
 from needle_sim_ros.ros.soak.watch import Watch
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.session import channels
+from needle_sim_ros.session.encoding import output_encoders
 from needle_sim_ros.session.writer import BASE_FRAME, TISSUE_FRAME
 from needle_sim_ros.simulator import Simulator
 
@@ -67,7 +67,7 @@ def provoke(
     """
     simulator = Simulator(scene)
     period = 1.0 / float(str(parameters["rate"]))
-    encoders = channels.output_encoders(TISSUE_FRAME, BASE_FRAME)
+    encoders = dict(output_encoders(TISSUE_FRAME, BASE_FRAME).each)
     heard: dict[str, dict[int, bytes]] = {"base_wrench": {}, "tip_pose": {}}
     rng = random.Random(0)
     received = steps = changed = 0
