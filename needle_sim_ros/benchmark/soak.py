@@ -49,7 +49,8 @@ class Plan:
     rate : float
         Ticks per second, Hz.
     dedicated_core : int
-        As the node's parameter, while it is under load.
+    keep_awake : bool
+        As the node's parameters, while it is under load.
     """
 
     steady: float
@@ -59,6 +60,7 @@ class Plan:
     endings: int
     rate: float = RATE
     dedicated_core: int = -1
+    keep_awake: bool = False
 
     @property
     def hostile_seconds(self) -> float:
@@ -82,12 +84,21 @@ class Plan:
         )
 
 
-def plan(minutes: float | None, quick: bool, dedicated_core: int = -1) -> Plan:
+def plan(
+    minutes: float | None, quick: bool, dedicated_core: int = -1, keep_awake: bool = False
+) -> Plan:
     """Return what to do: `minutes` of load, by default 10, or a third of one when quick."""
     steady = 60.0 * (minutes if minutes is not None else 0.35 if quick else 10.0)
-    if quick:
-        return Plan(steady, min(steady, 10.0), 5, 1000, 2, dedicated_core=dedicated_core)
-    return Plan(steady, min(steady, 120.0), 100, 100_000, 50, dedicated_core=dedicated_core)
+    crowd, cycles, hostile, endings = (10.0, 5, 1000, 2) if quick else (120.0, 100, 100_000, 50)
+    return Plan(
+        steady,
+        min(steady, crowd),
+        cycles,
+        hostile,
+        endings,
+        dedicated_core=dedicated_core,
+        keep_awake=keep_awake,
+    )
 
 
 def soak(
@@ -96,6 +107,7 @@ def soak(
     progress: Callable[[int, int], object] = lambda done, total: None,
     minutes: float | None = None,
     dedicated_core: int = -1,
+    keep_awake: bool = False,
     node: Drive | None = None,
 ) -> BenchmarkResult:
     """Soak the node; its tick is made the period of the rate.
@@ -112,6 +124,8 @@ def soak(
         Of steady load.
     dedicated_core : int
         Processor that the node's clock loop has to itself under load; -1: none.
+    keep_awake : bool
+        Whether the node under load keeps the processors awake.
     node : callable
         Drives the node; in the package `needle_sim_ros.ros.soak.drive.drive`.
 
@@ -122,7 +136,7 @@ def soak(
     """
     if node is None:
         raise NeedleSimError("benchmark soak drives the node: it needs ROS 2 (rclpy)")
-    todo = plan(minutes, quick, dedicated_core)
+    todo = plan(minutes, quick, dedicated_core, keep_awake)
     scene = scene.with_changes({"solver.time_step": 1.0 / todo.rate})
     done = 0.0
 

@@ -34,6 +34,7 @@ EXAMPLES = (
     "benchmark plan --quick",
     "benchmark soak --minutes 10 --json soak.json",
     "benchmark soak --minutes 1 --dedicated-core 1",
+    "benchmark soak --minutes 1 --keep-awake",
 )
 
 _PACKAGE = "needle_sim_ros.benchmark"
@@ -55,7 +56,7 @@ _NODE = {
 _ONLY = {
     "accuracy": ("plot", "budget", "error"),
     "plan": ("targets", "results"),
-    "soak": ("minutes", "dedicated_core"),
+    "soak": ("minutes", "dedicated_core", "keep_awake"),
 }
 # what a benchmark runs on unless told: the scene that it is about
 _SCENES = {"tips": "bevel_gelatin_22g"}
@@ -112,6 +113,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=int,
         help="processor that the node under load has to itself, as its parameter (default: none)",
+    )
+    soak.add_argument(
+        "--keep-awake",
+        action="store_const",
+        const=True,
+        help="the node under load keeps the processors awake, as its parameter",
     )
 
 
@@ -210,7 +217,11 @@ def _more(args: argparse.Namespace) -> dict[str, Any]:
     more: dict[str, Any] = {}
     if args.benchmark == "soak":
         core = -1 if args.dedicated_core is None else args.dedicated_core
-        more = {"minutes": args.minutes, "dedicated_core": core}
+        more = {
+            "minutes": args.minutes,
+            "dedicated_core": core,
+            "keep_awake": bool(args.keep_awake),
+        }
     if args.benchmark == "plan":
         more = {"targets": args.targets, "results": args.results}
     if args.benchmark in _NODE and find_spec("rclpy") is not None:

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from needle_sim_ros.errors import NeedleSimError
-from needle_sim_ros.ros import interaction_parameters, own_core
+from needle_sim_ros.ros import awake, interaction_parameters, own_core
 from needle_sim_ros.ros.commands import StageLimits
 from needle_sim_ros.ros.plant import Plant
 from needle_sim_ros.ros.record_folder import RecordFolder
@@ -98,6 +98,7 @@ class Settings:
     limits: StageLimits
     realtime_priority: float
     dedicated_core: int
+    keep_awake: bool
     publish_clock: bool
     record: bool
     record_folder: RecordFolder
@@ -132,6 +133,7 @@ def declare(node: Node) -> Settings:
     if publish_clock and node.get_parameter("use_sim_time").value:
         raise ParameterError("publish_clock and use_sim_time are both true: choose one time source")
     core = _declare_core(node)
+    keep_awake = _declare_awake(node, core)
     overrides = _overrides(texts["scene_overrides"])
     scene = Scene.load(texts["scene"], overrides)
     scene = _declare_interaction(node, scene)
@@ -142,6 +144,7 @@ def declare(node: Node) -> Settings:
         limits=limits(numbers),
         realtime_priority=numbers["realtime_priority"],
         dedicated_core=core,
+        keep_awake=keep_awake,
         publish_clock=bool(publish_clock),
         record=bool(texts["record"]),
         record_folder=RecordFolder(
@@ -239,6 +242,19 @@ def _declare_core(node: Node) -> int:
     if reason:
         raise ParameterError(f"parameter {name} = {core}: {reason}")
     return core
+
+
+def _declare_awake(node: Node, core: int) -> bool:
+    name = "keep_awake"
+    descriptor = ParameterDescriptor(
+        description="Keep the processors that the node may use from sleeping between ticks.",
+        read_only=True,
+    )
+    wanted = bool(_declared(node, name, False, descriptor))
+    reason = awake.why_not() if core == -1 else f"the loop waits awake on dedicated_core = {core}"
+    if wanted and reason:
+        raise ParameterError(f"parameter {name} = {wanted}: {reason}")
+    return wanted
 
 
 def _declared(node: Node, name: str, default: object, descriptor: ParameterDescriptor) -> Any:

@@ -17,6 +17,7 @@ from rclpy.serialization import serialize_message
 
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros import garbage, interaction_parameters, parameters
+from needle_sim_ros.ros.awake import Awake
 from needle_sim_ros.ros.clock_loop import ClockLoop
 from needle_sim_ros.ros.commands import StageCommands
 from needle_sim_ros.ros.diagnostics import Diagnostics
@@ -56,7 +57,7 @@ class Simulation:
     outputs : Outputs
     visualization : Visualization
     priority : str
-        With which the clock loop runs, and whether on a processor of its own.
+        With which the clock loop runs, and on what processors.
     active : bool
         Whether it may tick; a managed node that is not activated may not.
 
@@ -89,6 +90,8 @@ class Simulation:
             self._node.get_logger().fatal(f"the clock loop ended: {error!r}")
             on_error(error)
 
+        if self._settings.keep_awake:
+            self._beside.append(Awake(self._node.get_logger().warning).end)
         self.loop.start(failed, self._take_priority)
         scene, rate = self.plant.scene.name, 1 / self.plant.period
         self._node.get_logger().info(f"simulating {scene} at {rate:g} Hz")
@@ -192,6 +195,8 @@ class Simulation:
         priority = self._settings.realtime_priority
         self.priority = take_priority(priority)
         raise_middleware(priority - 1)
+        if self._settings.keep_awake:
+            self.priority += ", processors kept awake"
         if self._core is not None:
             self.priority += ", " + self._core.take()
 

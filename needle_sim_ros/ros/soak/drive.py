@@ -75,7 +75,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         domain = free_domain()
         total = plan.seconds
         loaded = load(
-            {**parameters, "dedicated_core": core},
+            {**parameters, "dedicated_core": core, "keep_awake": plan.keep_awake},
             domain,
             place,
             plan.steady,
@@ -115,6 +115,7 @@ def drive(scene: Scene, plan: Plan, advance: Callable[[float], object]) -> Figur
         "lateness_p99_ms": 1e3 * loaded.lateness_p99,
         "realtime_priority": float(loaded.realtime),
         "dedicated_core": float(core),
+        "keep_awake": float(plan.keep_awake),
         "latency_median_ticks": float(np.median(latencies)) if measured else None,
         "latency_p99_ticks": float(np.percentile(latencies, 99)) if measured else None,
         "latency_samples": len(latencies),
