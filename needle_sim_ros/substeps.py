@@ -145,11 +145,10 @@ def caught(before: ContactState, after: ContactState) -> bool:
     What they move with there stops or starts at once: the tissue's velocity jumps, and the
     friction that holds them would alternate from step to step.
     """
-    sticks = after.status[:-1] == 0
-    if not sticks.any():
+    now = after.status[:-1].tobytes()
+    if 0 not in now:
         return False
-    held = min(len(sticks), len(before.status) - 1)
-    return held > 0 and bool((sticks[:held] & (before.status[:held] != 0)).any())
+    return any(n == 0 != was for n, was in zip(now, before.status[:-1].tobytes(), strict=False))
 
 
 def ends(contact: ContactState, way: float) -> tuple[float, ...]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 _NAMES = 100  # tries for a folder's name that no other node takes at the same time
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, slots=True)
 class Sink:
-    """Where a topic's bytes go, and whether anybody wants them."""
+    """Where a topic's bytes go, and whether anybody wants them now."""
 
-    wanted: Callable[[], object]
     publish: Callable[[bytes], object]
+    wanted: bool = False
+
+
+_NOBODY = Sink(lambda data: None)
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Outlet:
     ) -> None:
         self._naming = naming
         self._sinks = sinks
+        self._in_order: dict[Encoders, list[Sink]] = {}  # sinks of the topics of each
         self._give_way = give_way
         self._session: SessionWriter | None = None
         self._writing = threading.Lock()  # a command is written whole, or the session is over
@@ -85,30 +89,32 @@ class Outlet:
 
         Each part is a subject and what makes its messages.
         """
-        session, sinks = self._session, self._sinks
-        recorded: list[tuple[Channel, bytes]] = []
+        session = self._session
+        made: list[tuple[Encoders, Sequence[bytes]]] = []
         for subject, encoders in parts:
+            sinks = self._in_order.get(encoders)
+            if sinks is None:
+                sinks = [self._sinks.get(channel, _NOBODY) for channel, _ in encoders.each]
+                self._in_order[encoders] = sinks
             if session is None:
-                for channel, encode in encoders.each:
-                    sink = sinks.get(channel)
-                    if sink is not None and sink.wanted():
+                for sink, (_, encode) in zip(sinks, encoders.each, strict=True):
+                    if sink.wanted:
                         sink.publish(encode(stamp, subject))
                 continue
-            made = encoders.together(stamp, subject)
-            for (channel, _), data in zip(encoders.each, made, strict=True):
-                recorded.append((channel, data))
-                sink = sinks.get(channel)
-                if sink is not None and sink.wanted():
+            messages = encoders.together(stamp, subject)
+            made.append((encoders, messages))
+            for sink, data in zip(sinks, messages, strict=True):
+                if sink.wanted:
                     sink.publish(data)
         if session is not None:
-            session.write(self.epoch + stamp, recorded)
+            session.write_made(self.epoch + stamp, made)
 
     def record(self, stamp: int, channel: Channel, data: bytes) -> None:
         """Record a message, if a session is being recorded."""
         with self._writing:
             session = self._session
             if session is not None:
-                session.write(self.epoch + stamp, [(channel, data)])
+                session.write(self.epoch + stamp, channel, data)
 
     def publish(self, channel: Channel, encode: Callable[[int], bytes], stamp: int) -> None:
         """Publish on a topic, if it has a sink, and do not record."""

@@ -34,8 +34,7 @@ class Outputs:
 
     def __init__(self, node: Node, clock: bool) -> None:
         self._node = node
-        self._publishers: list[Publisher] = []
-        self._hearers: list[_Hearers] = []
+        self._publishers: list[tuple[Publisher, Sink]] = []
         self.sinks: dict[Channel, Sink] = {}
         for channel in (
             *channels.OUTPUTS,
@@ -46,38 +45,23 @@ class Outputs:
 
     def destroy(self) -> None:
         """Take the publishers off the node."""
-        for publisher in self._publishers:
+        for publisher, _ in self._publishers:
             self._node.destroy_publisher(publisher)
 
     def refresh(self, pause: Callable[[], object] = lambda: None) -> None:
-        """Ask the middleware who listens, with a pause after each topic."""
-        for hearers in self._hearers:
-            hearers.refresh()
+        """Ask the middleware who listens, with a pause after each topic.
+
+        Asking for every topic in every tick took a tenth of a tick; the middleware's own event
+        is dearer still, since the executor then looks at one more thing per topic.
+        """
+        for publisher, sink in self._publishers:
+            sink.wanted = publisher.get_subscription_count() > 0
             pause()
 
     def _sink(self, channel: Channel) -> Sink:
         package, _, kind = channel.type.split("/")
         message = getattr(import_module(f"{package}.msg"), kind)
         publisher = self._node.create_publisher(message, channel.name, _RELIABLE)
-        hearers = _Hearers(publisher)
-        self._publishers.append(publisher)
-        self._hearers.append(hearers)
-        return Sink(hearers.any, publisher.publish)
-
-
-class _Hearers:
-    """Whether a topic has subscribers, as last asked.
-
-    Asking for every topic in every tick took a tenth of a tick; the middleware's own
-    event is dearer still, since the executor then looks at one more thing per topic.
-    """
-
-    def __init__(self, publisher: Publisher) -> None:
-        self._publisher = publisher
-        self._any = False
-
-    def refresh(self) -> None:
-        self._any = self._publisher.get_subscription_count() > 0
-
-    def any(self) -> bool:
-        return self._any
+        sink = Sink(publisher.publish)
+        self._publishers.append((publisher, sink))
+        return sink

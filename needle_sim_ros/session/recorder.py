@@ -77,7 +77,7 @@ class Recorder:
         self._interval = interval
         self._lock = threading.Lock()
         # Log time, messages, and what was lost before them: numbered by the writer thread.
-        self._queue: list[tuple[int, tuple[tuple[int, bytes], ...], Counter[int]]] = []
+        self._queue: list[tuple[int, Sequence[tuple[int, bytes]], Counter[int]]] = []
         self._missing: Counter[int] = Counter()
         self._queued = 0
         self._queued_bytes = 0
@@ -99,29 +99,28 @@ class Recorder:
             queued = self._queued + self._in_hand
             return RecorderStatus(self._written, self._size, queued, self._lost, self._error)
 
-    def write(self, time: int, messages: Iterable[tuple[int, bytes]]) -> None:
+    def write(self, time: int, messages: Sequence[tuple[int, bytes]]) -> None:
         """Queue messages of one log time, all or none; never waits for the disk.
 
         Parameters
         ----------
         time : int
             Log time, ns.
-        messages : iterable of (int, bytes)
-            Channel ids and serialised messages.
+        messages : sequence of (int, bytes)
+            Channel ids and serialised messages; not changed any more.
         """
-        batch = tuple(messages)
-        size = _OVERHEAD * len(batch) + sum([len(data) for _, data in batch])
+        size = _OVERHEAD * len(messages) + sum([len(data) for _, data in messages])
         with self._lock:
             if self._closing or self._queued_bytes + size > self._capacity:
-                self._lost += len(batch)
+                self._lost += len(messages)
                 self._error = "recording ended" if self._closing else "the disk is too slow"
-                self._missing.update(channel for channel, _ in batch)
+                self._missing.update(channel for channel, _ in messages)
                 return
             missing = _NOTHING
             if self._missing:
                 missing, self._missing = self._missing, Counter()
-            self._queue.append((time, batch, missing))
-            self._queued += len(batch)
+            self._queue.append((time, messages, missing))
+            self._queued += len(messages)
             self._queued_bytes += size
             full = self._queued_bytes > _CHUNK
         if full:
@@ -172,7 +171,7 @@ class Recorder:
                 self._note(-made_room, made_room, "no room for the index")
 
     def _numbered(
-        self, batch: Iterable[tuple[int, tuple[tuple[int, bytes], ...], Counter[int]]]
+        self, batch: Iterable[tuple[int, Sequence[tuple[int, bytes]], Counter[int]]]
     ) -> list[Entry]:
         """Return entries with sequence numbers, which leave out what was lost."""
         entries, numbers = [], self._sequence

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 from functools import partial
 from hashlib import sha256
@@ -11,11 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_sim_ros.errors import SessionError
-from needle_sim_ros.session import channels, encoding
+from needle_sim_ros.session import channels
 from needle_sim_ros.session.about import versions
 from needle_sim_ros.session.attached_mesh import mesh_attachment
 from needle_sim_ros.session.bag import NO_SPLIT, Bag, Split, Topic
 from needle_sim_ros.session.channels import Channel
+from needle_sim_ros.session.encoding import (
+    TICK_TIME_ENCODERS,
+    Encoders,
+    motion_encoders,
+    output_encoders,
+)
 from needle_sim_ros.session.history import History
 from needle_sim_ros.session.motion import Motion
 from needle_sim_ros.session.recorder import Recorder, RecorderStatus
@@ -86,8 +92,8 @@ class SessionWriter:
     ) -> None:
         self.folder = folder
         self._give_way = give_way
-        self._encoders = encoding.output_encoders(tissue_frame, base_frame)
-        self._motion_encoders = encoding.motion_encoders(tissue_frame)
+        self._encoders = output_encoders(tissue_frame, base_frame)
+        self._motion_encoders = motion_encoders(tissue_frame)
         everything = (*channels.INPUTS, *channels.OUTPUTS, *channels.RECORDS)
         topics = {c: (names or {}).get(c) or channels.resolve(c.name) for c in everything}
         scene_text = scene.to_yaml().encode()
@@ -108,6 +114,7 @@ class SessionWriter:
             bag.add_attachment(SCENE_FILE, "application/yaml", scene_text)
             if mesh is not None:
                 bag.add_attachment(mesh[0], "application/octet-stream", mesh[1])
+            self._numbers: dict[Encoders, list[int]] = {}  # of the channels of each
             self._ids = {c: bag.add_topic(Topic(name, c.type)) for c, name in topics.items()}
         except OSError as error:
             bag.file.abandon()
@@ -139,28 +146,34 @@ class SessionWriter:
         """Where the recording stands now."""
         return self._recorder.status
 
-    def write(self, time: int, messages: Iterable[tuple[Channel, bytes]]) -> None:
-        """Record serialised messages of one log time, ns; never waits for the disk."""
-        ids = self._ids
-        self._recorder.write(time, [(ids[channel], data) for channel, data in messages])
+    def write(self, time: int, channel: Channel, data: bytes) -> None:
+        """Record a serialised message of a log time, ns; never waits for the disk."""
+        self._recorder.write(time, [(self._ids[channel], data)])
+
+    def write_made(self, time: int, parts: Iterable[tuple[Encoders, Sequence[bytes]]]) -> None:
+        """Record all messages of one log time, ns, with what made them."""
+        entries: list[tuple[int, bytes]] = []
+        for encoders, messages in parts:
+            numbers = self._numbers.get(encoders)
+            if numbers is None:
+                numbers = [self._ids[channel] for channel, _ in encoders.each]
+                self._numbers[encoders] = numbers
+            entries.extend(zip(numbers, messages, strict=True))
+        self._recorder.write(time, entries)
 
     def event(self, time: int, event: str, **details: object) -> None:
         """Record that something happened between ticks, as JSON on the events topic."""
-        self.write(time, [(channels.EVENTS, channels.event_message(event, **details))])
+        self.write(time, channels.EVENTS, channels.event_message(event, **details))
 
     def observe(
         self, observation: Observation, motion: Motion, tick_time: float | None = None
     ) -> None:
         """Record all outputs of a tick, the motion it applied, and how long it took, s."""
         time = nanoseconds(observation.time)
-        parts = [(observation, self._encoders), (motion, self._motion_encoders[motion.kind])]
+        parts = [(self._encoders, observation), (self._motion_encoders[motion.kind], motion)]
         if tick_time is not None:
-            parts.append((tick_time, encoding.TICK_TIME_ENCODERS))
-        messages: list[tuple[Channel, bytes]] = []
-        for subject, encoders in parts:
-            made = encoders.together(time, subject)
-            messages += [(c, data) for (c, _), data in zip(encoders.each, made, strict=True)]
-        self.write(time, messages)
+            parts.append((TICK_TIME_ENCODERS, tick_time))
+        self.write_made(time, [(each, each.together(time, subject)) for each, subject in parts])
 
     def close(self, timeout: float = 5.0) -> RecorderStatus:
         """Write what waits and finish the session; return how it ended."""

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -106,7 +107,7 @@ class Cell:
             name = subscription.topic_name
             for channel, sink in self.sim.sinks.items():
                 if self.sim.resolve_topic_name(channel.name) == name:
-                    until(sink.wanted, f"subscriber of {topic}")
+                    until(partial(getattr, sink, "wanted"), f"subscriber of {topic}")
         return messages
 
     def publisher(self, kind, topic):
