@@ -87,6 +87,7 @@ class Plant:
         self._lock = threading.Lock()
         self._setting = threading.Lock()  # for what keeps a scene through more than one tick
         self._history = History()
+        self._history.reserve()
         self._begin()
 
     @property

@@ -34,11 +34,16 @@ class History:
 
     def __init__(self, limit: int = _LIMIT) -> None:
         self._limit = limit
+        self._rows = _NO_ROWS
         self.clear()
+
+    def reserve(self) -> None:
+        """Take all the memory at once, so that no tick has to wait for some."""
+        self._rows = _room(self._limit)
 
     def clear(self) -> None:
         """Forget everything: the simulation is at its start again."""
-        self._rows, self._used = _NO_ROWS, 0
+        self._used = 0
         self._last: Motion | None = None
         self._count = 0
         self.ticks = 0
@@ -52,8 +57,8 @@ class History:
             self._count += 1
             return
         if self._last is not None and self.complete:
-            if self._used == 0:
-                self._rows = _room(self._limit)
+            if not len(self._rows):
+                self.reserve()
             last = self._last
             _PACK[last.kind](
                 self._rows.data,
@@ -64,8 +69,7 @@ class History:
             )
             self._used += 1
             if self._used == self._limit:
-                self.complete = False
-                self._rows, self._used = _NO_ROWS, 0
+                self.complete, self._used = False, 0
         self._last, self._count = motion, 1
 
     def copy(self) -> History:
@@ -111,8 +115,9 @@ class History:
 
 
 def _room(rows: int) -> NDArray[np.float64]:
-    """Return zeros in memory of their own, which goes back to the system when it is given up."""
-    return np.frombuffer(mmap.mmap(-1, 8 * _ROW * rows)).reshape(rows, _ROW)
+    """Return zeros in memory that is there, not only promised."""
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_POPULATE", 0)
+    return np.frombuffer(mmap.mmap(-1, 8 * _ROW * rows, flags)).reshape(rows, _ROW)
 
 
 def motions_from_json(text: str) -> list[tuple[Motion, int]] | None:
