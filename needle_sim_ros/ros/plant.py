@@ -11,7 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -176,6 +176,7 @@ class Plant:
             self._outlet.epoch += self.stamp
             self.commands.clear()
             self._history.clear()
+            self._history.reserve()
             self.scene = self._simulator.scene  # laws that were changed stay changed
             self._begin()
             self._event("reset")
@@ -293,4 +294,9 @@ def changed_scene(scene: Scene, changes: Mapping[str, object]) -> Scene:
     SceneError
         When that is not admissible.
     """
-    return scene.with_changes({f"interaction.{key}": value for key, value in changes.items()})
+    return _changed(scene, tuple(sorted(changes.items())))
+
+
+@lru_cache(maxsize=1)  # who changes a scene has asked before whether it may be
+def _changed(scene: Scene, changes: tuple[tuple[str, object], ...]) -> Scene:
+    return scene.with_changes({f"interaction.{key}": value for key, value in changes})

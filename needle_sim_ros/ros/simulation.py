@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -185,7 +186,11 @@ class Simulation:
         )
         self._beside.append(regularly.close)
         self._undo.append(regularly.close)
-        validate = partial(parameters.validate, node, self)
+
+        def validate(changes: list[Parameter]) -> SetParametersResult:
+            self.plant.give_way()
+            return parameters.validate(node, self, changes)
+
         node.add_on_set_parameters_callback(validate)
         self._undo.append(partial(node.remove_on_set_parameters_callback, validate))
         node.add_post_set_parameters_callback(self._parameters_set)

@@ -39,7 +39,8 @@ class History:
 
     def reserve(self) -> None:
         """Take all the memory at once, so that no tick has to wait for some."""
-        self._rows = _room(self._limit)
+        if not len(self._rows):
+            self._rows = _room(self._limit)
 
     def clear(self) -> None:
         """Forget everything: the simulation is at its start again."""
@@ -57,8 +58,7 @@ class History:
             self._count += 1
             return
         if self._last is not None and self.complete:
-            if not len(self._rows):
-                self.reserve()
+            self.reserve()
             last = self._last
             _PACK[last.kind](
                 self._rows.data,
@@ -69,7 +69,8 @@ class History:
             )
             self._used += 1
             if self._used == self._limit:
-                self.complete, self._used = False, 0
+                self.complete = False
+                self._rows, self._used = _NO_ROWS, 0
         self._last, self._count = motion, 1
 
     def copy(self) -> History:
@@ -115,7 +116,7 @@ class History:
 
 
 def _room(rows: int) -> NDArray[np.float64]:
-    """Return zeros in memory that is there, not only promised."""
+    """Return zeros in memory of their own, there at once; it goes back when it is given up."""
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_POPULATE", 0)
     return np.frombuffer(mmap.mmap(-1, 8 * _ROW * rows, flags)).reshape(rows, _ROW)
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The soak's plan, and what it does without a node; its parts are tested in test/ros/soak."""
 
+import os
+
 import pytest
 
 from needle_sim_ros.benchmark.soak import plan, soak
@@ -39,15 +41,30 @@ def test_only_the_soak_has_minutes(capsys):
     assert "only benchmark soak" in capsys.readouterr().err
 
 
-def test_only_the_soak_has_a_dedicated_core(capsys):
-    assert main(["benchmark", "speed", "--dedicated-core", "1"]) == 2
-    assert "only benchmark soak" in capsys.readouterr().err
+@pytest.mark.parametrize("option", [["--dedicated-core", "1"], ["--keep-awake"]])
+def test_only_the_soak_has_a_word_on_processors(option, capsys):
+    assert main(["benchmark", "speed", *option]) == 2
+    assert f"{option[0]}: only benchmark soak" in capsys.readouterr().err
 
 
 def test_a_core_of_its_own_is_for_the_load():
     assert plan(None, quick=False).dedicated_core == -1
     assert plan(None, quick=False, dedicated_core=1).dedicated_core == 1
     assert plan(None, quick=True, dedicated_core=1).dedicated_core == 1
+
+
+def test_so_are_processors_kept_awake():
+    assert plan(None, quick=False).keep_awake is False
+    assert plan(None, quick=True, keep_awake=True).keep_awake is True
+
+
+def test_what_contradicts_itself_is_refused_by_the_node(capsys):
+    pytest.importorskip("rclpy")
+    options = ["--quick", "--keep-awake", "--dedicated-core", str(max(os.sched_getaffinity(0)))]
+    if len(os.sched_getaffinity(0)) < 2:
+        pytest.skip("one processor")
+    assert main(["benchmark", "soak", *options]) == 2
+    assert "keep_awake = True: the loop waits awake" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("core", ["4095", "-2"])

@@ -190,6 +190,20 @@ def test_a_history_that_grows_too_long_is_given_up_and_says_so():
     assert history.ticks == 5
 
 
+def test_a_history_that_was_given_up_begins_again():
+    history = History(limit=3)
+    history.reserve()
+    for _ in range(2):
+        for k in range(5):
+            history.add(Motion("pose", (float(k), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+        history.clear()
+        history.reserve()
+    history.add(DOWN)
+    history.add(TURNED)
+    assert history.complete
+    assert motions_from_json(history.to_json()) == [(DOWN, 1), (TURNED, 1)]
+
+
 WITHOUT_ROS = """
     import sys
     for name in ("rclpy", "geometry_msgs", "std_msgs", "sensor_msgs", "rosidl_parser"):
