@@ -110,6 +110,23 @@ class Cell:
                     until(partial(getattr, sink, "wanted"), f"subscriber of {topic}")
         return messages
 
+    def priority(self, word):
+        """Return what /diagnostics says of the clock loop's priority, once a word is in it."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        arrays = self.collect(DiagnosticArray, "/diagnostics")
+
+        def said():
+            return [
+                pair.value
+                for array in arrays
+                for status in array.status
+                for pair in status.values
+                if pair.key == "priority" and word in pair.value
+            ]
+
+        return self.until(said, f"{word} in /diagnostics")[0]
+
     def publisher(self, kind, topic):
         """Return a publisher that the simulator node hears."""
         publisher = self.peer.create_publisher(kind, topic, 1000)

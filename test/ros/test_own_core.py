@@ -8,8 +8,6 @@ import time
 import pytest
 
 pytest.importorskip("rclpy")
-from diagnostic_msgs.msg import DiagnosticArray
-
 from needle_sim_ros.errors import NeedleSimError
 from needle_sim_ros.ros import own_core
 from needle_sim_ros.ros.own_core import OwnCore, why_not
@@ -83,20 +81,7 @@ def test_what_cannot_be_had_is_said(monkeypatch):
 @able
 def test_the_node_s_clock_loop_has_it_while_it_runs(cell):
     cell.start(paused=False, dedicated_core=CORE)
-    arrays = cell.collect(DiagnosticArray, "/diagnostics")
-
-    def said():
-        return [
-            pair.value
-            for array in arrays
-            for status in array.status
-            for pair in status.values
-            if pair.key == "priority" and "processor" in pair.value
-        ]
-
-    assert cell.until(said, "the processor in /diagnostics")[0].endswith(
-        f"processor {CORE} to itself"
-    )
+    assert cell.priority("processor").endswith(f"processor {CORE} to itself")
     assert CORE not in os.sched_getaffinity(0)
     cell.sim.simulation.destroy()
     assert os.sched_getaffinity(0) == MINE

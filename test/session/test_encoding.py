@@ -16,24 +16,12 @@ pytestmark = pytest.mark.skipif(encoding._messages is None, reason="built withou
 TISSUE, BASE = "tissue_\u00e4", "needle_base"
 MARKERS = [[0.004, 0.0, -0.02], [-0.01, 0.0, -0.03]]
 BLOCK = {
-    "name": "block",
-    "dimension": 3,
-    "tissue": {
-        "size": [0.06, 0.06, 0.05],
-        "youngs_modulus": 15e3,
-        "poisson_ratio": 0.45,
-        "mesh": {"spacing_across": 6e-3, "band": 8e-3, "growth": 3.0},
-    },
-    "needle": {
-        "length": 0.08,
-        "radius": 1e-3,
-        "youngs_modulus": 2.1e9,
-        "tip": {"bevel_angle": 0.5, "deviation_angle": 0.1},
-    },
+    "tissue.mesh.spacing_across": 10e-3,
+    "tissue.mesh.largest": 20e-3,
+    "solver.track_spacing": 4e-3,
+    "solver.dynamics": "quasi_static",
+    "solver.modes": 0,
     "markers": [[0.004, 0.002, -0.02], [-0.01, 0.012, -0.03]],
-    "solver": {"track_spacing": 5e-3},
-    "base": {"position": [0, 0, 0.082]},
-    "protocol": [{"duration": 9.0, "velocity": [0, 0, -5e-3]}],
 }
 NUMBER = st.floats()
 SMALL = st.floats(-10, 10)
@@ -46,7 +34,7 @@ def numbers(kind, count):
 @pytest.mark.parametrize("kind", ["2D", "2D without markers", "3D"])
 def test_of_what_a_needle_does_they_are_the_same_bytes(kind, coarse_scene):
     scene = coarse_scene({"markers": MARKERS if kind == "2D" else []})
-    scene = Scene.from_dict(BLOCK) if kind == "3D" else scene
+    scene = Scene.load("bevel_gelatin_22g", BLOCK) if kind == "3D" else scene
     simulator, encoders = Simulator(scene), encoding.output_encoders(TISSUE, BASE)
     turning, processes = [0.0, 0.05, 0.02 if kind == "3D" else 0.0], set()
     for k in range(70):
