@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from needle_sim_ros.errors import SolverError
-from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, parts_of_step
-from needle_sim_ros.tissue.dynamics import Dynamics
-from needle_sim_ros.tissue.response import Reading, ResponseTable
+from needle_sim_ros.tissue.dynamics import Dynamics, WithinStep
+from needle_sim_ros.tissue.response import ResponseTable
 
 
 class Coupled(NamedTuple):
@@ -102,25 +102,22 @@ class CoupledStep:
             far = (end - start) * route.advance
             check_way(contact, far, self._spacing)
             equal = parts_of_step(contact, (end - start) * route.length, self._spacing)
-        begun = contact.forces
-
-        def sample(table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
-            change = forces.copy()
-            change[: len(begun)] -= begun[: len(change)]
-            return dynamics.at(tissue, table, forces, change, reading)
+        within = WithinStep(tissue, prediction, 1.0, contact.forces)
 
         free, advance, count = None, 0.0, 0
         done, size = start, (end - start) / equal
         for number in range(equal):
-            for within in ends(contact, size * route.length):
-                last = within == 1.0 and number + 1 == equal
-                share = end if last else start + size * (number + within)
+            for part in ends(contact, size * route.length):
+                last = part == 1.0 and number + 1 == equal
+                share = end if last else start + size * (number + part)
                 after = route.at(share)
                 rows: FreeRows = prediction.rows
+                here = within
                 if self._remembers and not last:
                     free = free or FreeOnTheWay(rows, contact)
-                    rows = free.at((share - start) / (end - start))
-                step = Step(pose, after, dt * (share - done), rows, sample)
+                    here = within._replace(share=(share - start) / (end - start))
+                    rows = free.at(here.share)
+                step = Step(pose, after, dt * (share - done), rows, partial(dynamics.at, here))
                 contact = self._laws.step(contact, step)
                 advance += step.advance
                 pose, done, count = after, share, count + 1

@@ -14,7 +14,7 @@
 #include <float.h>
 #include <math.h>
 
-#define STILL 1e-12 /* as in friction.py */
+#define CREEP 1e-3 /* as in friction.py */
 
 /* Numbers of a step, in this order. */
 enum {
@@ -25,8 +25,7 @@ enum {
 /* Rows of numbers, one for each point that rubs: what a step leaves for the state, then what
  * `slide` leaves for `bounded`. */
 enum {
-    FRICTION, SHARE, STRAIN, SLIP, SLID, LENGTHS, ELASTIC, SOFT, LOW, HIGH, AXIAL_FORCE, ALONG,
-    ROWS
+    FRICTION, SHARE, STRAIN, SLIP, SLID, LENGTHS, ELASTIC, SOFT, BOUND, AXIAL_FORCE, ALONG, ROWS
 };
 
 /* What both functions are given, in this order, and what they make of it. */
@@ -121,24 +120,15 @@ static void with_free(Problem *p)
         p->moved[i] += p->free[i];
 }
 
-/* friction.slip_after, where not every point goes on sliding as it did */
+/* friction.slip_after */
 static void slip_after(Problem *p, const signed char *status)
 {
-    double *rows = p->rows, whole = p->numbers[WEAKENING];
-    int n = p->n, still = fabs(p->numbers[ADVANCE]) <= STILL;
-    double healed = exp(-p->numbers[DURATION] / p->numbers[HEALING]);
-    for (int i = 0; i < n; i++) {
-        double force = rows[FRICTION * n + i];
-        double after = force * p->strain[i] < 0 ? 0.0 : p->slip[i];
-        if (status[i] != 0)
-            after += fabs(rows[SLID * n + i]);
-        else if (still)
-            after *= healed;
-        else {
-            double bound = force > 0 ? rows[HIGH * n + i] : -rows[LOW * n + i];
-            after = fmin(after, whole * fabs(force) / fmax(bound, 1e-300));
-        }
-        rows[SLIP * n + i] = after;
+    double whole = p->numbers[WEAKENING], healing = p->numbers[DURATION] / p->numbers[HEALING];
+    for (int i = 0; i < p->n; i++) {
+        double way = status[i] != 0 ? fabs(p->rows[SLID * p->n + i]) : 0.0;
+        double rest = 1.0 - way / (CREEP * whole * healing);
+        double left = rest > 0.0 ? p->slip[i] * exp(-healing * rest) : p->slip[i];
+        p->rows[SLIP * p->n + i] = fmin(left + way, whole);
     }
 }
 
@@ -207,26 +197,14 @@ static double set_up(Problem *p, const Guess *g)
         rows[ELASTIC * n + i] =
             dot(g->moved + i * d, p->axial, d) - along[i] + advance + p->strain[i];
         rows[SOFT * n + i] = 1.0 / (number[PRESLIDING] * fmax(lengths[i], LEAST * h));
-        /* friction.limits: what slides goes on, what turns round has to stick first */
+        /* friction.limits: what slides goes on */
         double slip = p->slip[i];
         if (p->status[i] * advance > 0)
             slip += fabs(g->slid[i]) * pace;
         double left = fmax(1.0 - slip / number[WEAKENING], 0.0);
-        double onward = left * (g->fixed[i] - g->kinetic[i]) + g->kinetic[i];
-        rows[LOW * n + i] = -(p->strain[i] > 0 ? g->fixed[i] : onward) * lengths[i];
-        rows[HIGH * n + i] = (p->strain[i] < 0 ? g->fixed[i] : onward) * lengths[i];
+        rows[BOUND * n + i] = (left * (g->fixed[i] - g->kinetic[i]) + g->kinetic[i]) * lengths[i];
     }
     return number[REACH] - dot(share, along, n);
-}
-
-/* Whether all points, and the tip, go on sliding one way: FrictionStart.sliding. */
-static int one_way(const Problem *p)
-{
-    int way = p->status[0];
-    for (int i = 0; i < p->n; i++)
-        if (p->status[i] != way || p->strain[i] * way <= 0)
-            return 0;
-    return p->status[p->n] == way && p->numbers[ADVANCE] * way > 0 ? way : 0;
 }
 
 /* What `slide` finds for the tip. */
@@ -283,7 +261,7 @@ static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int
     int n = p->n;
     double *rows = p->rows, limit = p->numbers[LIMIT], largest = -DBL_MAX;
     for (int i = 0; i < n; i++) {
-        double force = rows[(p->status[i] > 0 ? HIGH : LOW) * n + i];
+        double force = p->status[i] > 0 ? rows[BOUND * n + i] : -rows[BOUND * n + i];
         rows[FRICTION * n + i] = force;
         rows[STRAIN * n + i] = rows[SOFT * n + i] * force;
         largest = fmax(largest, rows[ELASTIC * n + i]);
@@ -345,11 +323,7 @@ static PyObject *slide(PyObject *module, PyObject *const *arguments, Py_ssize_t 
         holds = at_bounds(&p, &g, reach, work, (int *)((char *)work + room), &tip);
     }
     if (holds) {
-        if (one_way(&p))
-            for (int i = 0; i < p.n; i++)
-                p.rows[SLIP * p.n + i] = p.slip[i] + fabs(p.rows[SLID * p.n + i]);
-        else
-            slip_after(&p, p.status);
+        slip_after(&p, p.status);
         with_free(&p);
     }
     answered = Py_BuildValue("Oddddii", holds ? Py_True : Py_False, reach, tip.force, tip.overlap,
@@ -410,8 +384,8 @@ static int assemble(const Problem *p, double reach, PyObject *blocks, Buffers *a
         pressed += share[i] * last[wide + i];
         c->matrix[(size_t)(wide + i) * (size + 1)] += p->rows[SOFT * n + i];
         c->right[wide + i] = p->rows[ELASTIC * n + i];
-        c->low[wide + i] = p->rows[LOW * n + i];
-        c->high[wide + i] = p->rows[HIGH * n + i];
+        c->low[wide + i] = -p->rows[BOUND * n + i];
+        c->high[wide + i] = p->rows[BOUND * n + i];
     }
     last[size - 1] = pressed + p->numbers[TIP_SOFTNESS];
     c->right[size - 1] = reach;

@@ -230,33 +230,32 @@ class Balance:
     def _solved(
         self, problem: SlidingProblem, start: FrictionStart, length: Vector, task: InsertedTask
     ) -> tuple[TrackForces, Vector]:
-        """Solve for the forces; return them and the slip since the points last stuck."""
-        bounds, hold = task.status, task.hold
+        """Solve for the forces; return them and the slip that counts."""
+        found = self._found(problem, start, length, task.hold, task.status)
+        slipped = friction.slip_after(
+            self.laws, start.slip, found.status[:-1], found.slid, task.step.duration
+        )
+        return found, slipped
+
+    def _found(
+        self,
+        problem: SlidingProblem,
+        start: FrictionStart,
+        length: Vector,
+        hold: LateralHold | None,
+        bounds: NDArray[np.int8],
+    ) -> TrackForces:
         if start.sliding and hold is not None:
             limit = friction.sliding_limit(self.laws, start) * length
             limit *= start.sliding
             found = problem.sliding(hold, limit, bounds)
             if found is not None:
-                return found, start.slip + np.abs(found.slid)
-        low, high = friction.limits(self.laws, start)
-        low, high = -low * length, high * length
+                return found
+        high = friction.limits(self.laws, start) * length
         found = None
         if not start.sliding and hold is not None:
-            limit = np.where(bounds[:-1] > 0, high, low)
-            found = problem.sliding(hold, limit, bounds)
-        if found is None:
-            found = problem.bounded(low, high, bounds)
-        bound = np.where(found.friction > 0, high, -low)
-        slipped = friction.slip_after(
-            self.laws,
-            start,
-            found.status[:-1],
-            found.friction,
-            bound,
-            found.slid,
-            task.step.duration,
-        )
-        return found, slipped
+            found = problem.sliding(hold, np.where(bounds[:-1] > 0, high, -high), bounds)
+        return found or problem.bounded(-high, high, bounds)
 
     def _hold_of(self, table: ResponseTable, step: Step, depth: float, held: int) -> LateralHold:
         """Return what solves for the lateral forces, factorised where the tip will be deepest.

@@ -21,7 +21,7 @@ except ImportError:  # built without a compiler, or run from the source
     _balance = None  # type: ignore[assignment]
 
 # rows of what the compiled code writes for each point, and how many there are
-_FRICTION, _SHARE, _STRAIN, _SLIP, _SLID, _ROWS = 0, 1, 2, 3, 4, 12
+_FRICTION, _SHARE, _STRAIN, _SLIP, _SLID, _ROWS = 0, 1, 2, 3, 4, 11
 _NO_HOLD = (None,) * 7
 _REACH = 5  # number of the step's number that the first part makes out
 

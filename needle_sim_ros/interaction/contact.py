@@ -280,7 +280,9 @@ class Contact:
         if solves != solution.solves:
             solution = solution._replace(solves=solves)
         rate = min(max(went, 0.0), 1.0)
-        return ContactState(track, False, True, depth, front, rate, heading, *solution.in_state())
+        bearing = limit if engaged else self.laws.relaxed(state.bearing, step.duration)
+        place = (track, False, True, depth, front, rate, heading, bearing)
+        return ContactState(*place, *solution.in_state())
 
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
         zero = np.zeros_like(track.points)
@@ -296,13 +298,17 @@ class Contact:
         advance: float,
         duration: float,
     ) -> float:
-        """Return what the tip bears, N: cutting while it advances, less and less in a hold."""
+        """Return what the tip may bear, N: cutting while it advances, less and less in a hold.
+
+        What it may bear relaxes, not what it bears: a tip that was unloaded for an instant is
+        loaded again as it was.
+        """
         if not engaged:
             return 0.0
         mean, opening = tip_bound(track.stretches, front, self._bevel)
         cutting = self.laws.cutting(mean, front) + opening
         if advance <= STILL:
-            cutting = min(cutting, self.laws.relaxed(state.tip, duration))
+            cutting = min(cutting, self.laws.relaxed(state.bearing, duration))
         return cutting
 
 

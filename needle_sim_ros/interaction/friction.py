@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction along the needle: its limits in a step, and the slip that it remembers.
 
-Static friction falls to kinetic as a point slips (segments DE and FG of Fig. 3).
+Static friction falls to kinetic as a point slips (segments DE and FG of Fig. 3) and comes back
+as it rests. What is remembered changes as far as the point moves and as long as it rests, never
+at once: an event that lasts but an instant must not leave a mark, or what follows would hang on
+how finely time is divided.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +20,8 @@ from needle_sim_ros.interaction.track import Track
 
 # advances up to this, m, count as a hold
 STILL = 1e-12
+# weakening distances per healing time: a point that slides slower rests the more, the slower
+_CREEP = 1e-3
 
 
 class FrictionMemory(NamedTuple):
@@ -26,7 +30,7 @@ class FrictionMemory(NamedTuple):
     Attributes
     ----------
     slip, strain, slid : ndarray, shape (active,)
-        Slip since the point last stuck, elastic presliding, slip in the step, m.
+        Slip that counts, elastic presliding, slip in the step, m.
     advance : float
         Of the needle in the step, m.
     """
@@ -45,7 +49,8 @@ class FrictionStart(NamedTuple):
     static, kinetic : ndarray, shape (n,)
         Limits at the points, N/m.
     slip : ndarray, shape (n,)
-        Since the point last stuck, m.
+        What has not healed of it, m; static friction where it is 0, kinetic from the weakening
+        distance on.
     strain : ndarray, shape (n,)
         Elastic presliding, m.
     status : ndarray of int8, shape (n,)
@@ -95,17 +100,14 @@ class FrictionStart(NamedTuple):
         return cls(static, kinetic, slip, strain, status[:-1], advance, slid, pace, sliding)
 
 
-def limits(laws: Laws, start: FrictionStart) -> tuple[Vector, Vector]:
-    """Return the friction limits of a step per length, back and forth, N/m, shapes (n,).
+def limits(laws: Laws, start: FrictionStart) -> Vector:
+    """Return the friction limits of a step per length, either way, N/m, shape (n,).
 
-    What slides goes on sliding as fast against the needle as it did; what turns round has to
-    stick first, so that in the other direction the static limit stands.
+    What slides goes on sliding as fast against the needle as it did.
     """
     going_on = start.status * start.advance > 0
     slip = start.slip + np.where(going_on, start.onward, 0.0)
-    along = laws.friction(start.static, start.kinetic, slip)
-    back, forth = start.strain > 0, start.strain < 0
-    return np.where(back, start.static, along), np.where(forth, start.static, along)
+    return laws.friction(start.static, start.kinetic, slip)
 
 
 def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
@@ -116,44 +118,29 @@ def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
 
 
 def slip_after(
-    laws: Laws,
-    start: FrictionStart,
-    status: NDArray[np.int8],
-    friction: Vector,
-    bound: Vector,
-    slid: Vector,
-    duration: float,
+    laws: Laws, slip: Vector, status: NDArray[np.int8], slid: Vector, duration: float
 ) -> Vector:
-    """Return the slip since the points last stuck, m, shape (n,).
+    """Return the slip that counts after a step, m, shape (n,).
 
-    A point that sticks in a hold forgets its slip with time. While the needle moves it does
-    so as far as it is unloaded, and wholly where the friction turns round: whether it stuck
-    for the length of a tick must not matter.
+    It grows as a point slides, up to the weakening distance, and heals as it rests.
 
     Parameters
     ----------
     laws : Laws
-    start : FrictionStart
+    slip : ndarray, shape (n,)
+        That counts before, m.
     status : ndarray of int8, shape (n,)
         Bounds that hold.
-    friction, bound : ndarray, shape (n,)
-        Friction and the largest it may be, N.
     slid : ndarray, shape (n,)
         In the step, m.
     duration : float
         Of the step, s.
     """
-    sliding = status != 0
-    after = np.where(friction * start.strain < 0, 0.0, start.slip)
-    after[sliding] += np.abs(slid[sliding])
-    if not sliding.all():
-        if abs(start.advance) <= STILL:
-            after[~sliding] *= math.exp(-duration / laws.interaction.friction.healing_time)
-        else:
-            whole = laws.interaction.friction.weakening_distance
-            loaded = whole * np.abs(friction) / np.maximum(bound, 1e-300)
-            np.minimum(after, loaded, out=after, where=~sliding)
-    return after
+    friction = laws.interaction.friction
+    whole, healing = friction.weakening_distance, duration / friction.healing_time
+    way = np.where(status != 0, np.abs(slid), 0.0)
+    rest = np.maximum(1.0 - way / (_CREEP * whole * healing), 0.0)
+    return np.minimum(slip * np.exp(-healing * rest) + way, whole)
 
 
 def guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:

@@ -40,6 +40,8 @@ class ContactState(NamedTuple):
         Advance of the tip along the track per advance of the base in the last step.
     heading : int
         Sign of the last advance of the base.
+    bearing : float
+        What the tip may bear, N: what cutting takes, and less and less of it in a hold.
     active : int
         Number of track points that carry forces, the one ahead of the tip included.
     lateral : ndarray, shape (d - 1, k)
@@ -58,7 +60,7 @@ class ContactState(NamedTuple):
     strain : ndarray, shape (active,)
         Elastic presliding, m.
     slip : ndarray, shape (active,)
-        Slip since the point last stuck, m.
+        What has not healed of the slip, m.
     slid : ndarray, shape (active,)
         Slip in the step, m.
     advance : float
@@ -82,6 +84,7 @@ class ContactState(NamedTuple):
     front: float = 0.0
     rate: float = 0.0
     heading: int = 0
+    bearing: float = 0.0
     active: int = 0
     lateral: Vector = np.empty((1, 0))
     friction: Vector = _NONE

@@ -8,7 +8,7 @@ remembers is a state that is replaced, never changed in place.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -29,6 +29,39 @@ class Prediction(Protocol):
     def rows(self, table: ResponseTable) -> Vector:
         """Return the displacement of the rows of a table, shape (n, d), m."""
         ...
+
+
+class WithinStep(NamedTuple):
+    """Where in a step the tissue is.
+
+    Attributes
+    ----------
+    state : Any
+        At the start.
+    prediction : Any
+        Of the end.
+    share : float
+        Of the step that has passed.
+    begun : ndarray, shape (k, d)
+        Forces at the start, on the first rows, N.
+    """
+
+    state: Any
+    prediction: Any
+    share: float
+    begun: Vector
+
+    def acting(self, forces: Vector) -> Vector:
+        """Return what acts on the tissue as it would be without contact forces, (n, d), N.
+
+        Without, it is between where the forces at the start leave it and its prediction.
+        """
+        if self.share == 1.0:
+            return forces
+        rest = forces.copy()
+        known = min(len(self.begun), len(rest))
+        rest[:known] -= (1.0 - self.share) * self.begun[:known]
+        return rest
 
 
 class Dynamics(Protocol):
@@ -59,16 +92,11 @@ class Dynamics(Protocol):
         ...
 
     def at(
-        self,
-        state: Any,
-        table: ResponseTable,
-        forces: Vector,
-        change: Vector,
-        reading: Reading,
+        self, step: WithinStep, table: ResponseTable, forces: Vector, reading: Reading
     ) -> Vector:
-        """Return the displacement of a footprint in the step after a state, shape (d,).
+        """Return the displacement of a footprint within a step, shape (d,).
 
-        `forces` act, (n, d), which differ by `change`, (n, d), from those in the state.
+        Under `forces` on the rows, (n, d), N.
         """
         ...
 
@@ -128,12 +156,7 @@ class QuasiStatic:
         return
 
     def at(
-        self,
-        state: None,
-        table: ResponseTable,
-        forces: Vector,
-        change: Vector,
-        reading: Reading,
+        self, step: WithinStep, table: ResponseTable, forces: Vector, reading: Reading
     ) -> Vector:
         """Displacement of a footprint from the kept responses."""
         return reading.displacement(forces)

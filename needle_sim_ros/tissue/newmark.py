@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.compliance import NodalCompliance
-from needle_sim_ros.tissue.dynamics import expand
+from needle_sim_ros.tissue.dynamics import WithinStep, expand
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.response import Reading, ResponseTable
@@ -178,18 +178,14 @@ class FullNewmark:
         return Motion(state.u + change, v, a)
 
     def at(
-        self,
-        state: Motion,
-        table: ResponseTable,
-        forces: Vector,
-        change: Vector,
-        reading: Reading,
+        self, step: WithinStep, table: ResponseTable, forces: Vector, reading: Reading
     ) -> Vector:
-        """Displacement of a footprint: where it was, and what the change of forces does."""
-        footprint = reading.footprint
-        moved = reading.displacement(change)
-        moved += footprint.weights @ expand(self._model, state.u)[footprint.nodes]
-        return np.asarray(moved)
+        """Displacement of a footprint: without contact forces, and what they do to it."""
+        nodes, weights = reading.footprint.nodes, reading.footprint.weights
+        free = expand(self._model, step.state.u)
+        free *= 1.0 - step.share
+        free += step.share * step.prediction.nodal
+        return np.asarray(weights @ free[nodes] + reading.displacement(step.acting(forces)))
 
     def at_readers(self, state: Motion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of the readers."""

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.tissue.compliance import NodalCompliance
-from needle_sim_ros.tissue.dynamics import expand
+from needle_sim_ros.tissue.dynamics import WithinStep, expand
 from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.modal_step import Coefficients, loaded, moved, unloaded
 from needle_sim_ros.tissue.model import TissueModel
@@ -141,24 +141,21 @@ class ReducedNewmark:
         )
         return ModalMotion(modal, filtered, forces)
 
-    def _modal(self, state: ModalMotion, table: ResponseTable) -> tuple[Vector, Vector]:
-        filtered = _widened(state.filtered, table.count)
-        static = table.modal() @ filtered.ravel()
-        return filtered, state.modal[0] - self._flexibility * static
+    def _beyond_static(self, modal: Vector, filtered: Vector, table: ResponseTable) -> Vector:
+        """Return what modes (m,) add to the static displacement by filtered forces (n, d)."""
+        return np.asarray(modal - self._flexibility * (table.modal() @ filtered.ravel()))
 
     def at(
-        self,
-        state: ModalMotion,
-        table: ResponseTable,
-        forces: Vector,
-        change: Vector,
-        reading: Reading,
+        self, step: WithinStep, table: ResponseTable, forces: Vector, reading: Reading
     ) -> Vector:
-        """Displacement of a footprint: where it was, and what the change of forces does."""
-        u = state.modal.copy()
-        u[0] += self._dynamic * (table.modal() @ change.ravel())
-        filtered = _widened(state.filtered, table.count) + self._share * change
-        filtered, modal = self._modal(ModalMotion(u, filtered, forces), table)
+        """Displacement of a footprint: without contact forces, and what they do to it."""
+        acting, share = step.acting(forces), step.share
+        modal = (1.0 - share) * step.state.modal[0] + share * step.prediction.u
+        modal += self._dynamic * (table.modal() @ acting.ravel())
+        filtered = (1.0 - share) * _widened(step.state.filtered, table.count)
+        filtered += share * _widened(step.prediction.filtered, table.count)
+        filtered += self._share * acting
+        modal = self._beyond_static(modal, filtered, table)
         return np.asarray(reading.displacement(filtered) + modal @ reading.shape)
 
     def at_readers(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
@@ -167,6 +164,7 @@ class ReducedNewmark:
 
     def everywhere(self, state: ModalMotion, table: ResponseTable, forces: Vector) -> Vector:
         """Displacement of all nodes; one solve."""
-        filtered, modal = self._modal(state, table)
+        filtered = _widened(state.filtered, table.count)
+        modal = self._beyond_static(state.modal[0], filtered, table)
         loads = table.spread(filtered).ravel()[self._model.free]
         return expand(self._model, self._factor.solve(loads) + self._shapes @ modal)

@@ -18,4 +18,5 @@ def test_a_solution_is_the_end_of_a_state():
         "front",
         "rate",
         "heading",
+        "bearing",
     )

@@ -10,6 +10,7 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import eigsh, spsolve
 
 from needle_sim_ros.tissue.compliance import Footprint
+from needle_sim_ros.tissue.dynamics import WithinStep
 from needle_sim_ros.tissue.newmark import Motion, NewmarkRule, effective_matrix
 
 NOTHING = np.zeros((2, 2))
@@ -194,8 +195,13 @@ def test_all_ways_to_read_the_tissue_agree(loaded, kind):
     nodes = np.arange(0, model.nodes, 7)
     place = Footprint(nodes, np.cos(nodes))
     reading = tissue.table.reading(place)
-    found = dynamics.at(after, tissue.table, PUSH, np.zeros_like(PUSH), reading)
+    ends = WithinStep(before, prediction, 1.0, -PUSH)
+    found = dynamics.at(ends, tissue.table, PUSH, reading)
     np.testing.assert_allclose(found, place.weights @ everywhere[nodes], atol=1e-9 * scale)
+    begun = place.weights @ dynamics.everywhere(before, tissue.table, -PUSH)[nodes]
+    starts = ends._replace(share=0.0)
+    found = dynamics.at(starts, tissue.table, -PUSH, reading)
+    np.testing.assert_allclose(found, begun, atol=1e-9 * scale)
     read = dynamics.at_readers(after, tissue.table, PUSH).reshape(-1, 2)
     places = np.array([[0.01, -0.01], [-0.03, -0.05]])
     shown = model.sampling(places) @ everywhere.ravel()[model.free]

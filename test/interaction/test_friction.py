@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What friction remembers of the slip: it grows with the way and heals with time."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from needle_sim_ros.interaction.friction import slip_after
+from needle_sim_ros.interaction.laws import Laws
+from needle_sim_ros.scene import Scene
+
+SLIDES, STICKS = np.array([1], dtype=np.int8), np.array([0], dtype=np.int8)
+
+
+@pytest.fixture(scope="module")
+def laws():
+    scene = Scene.load("gao2016").with_changes(
+        {
+            "interaction.friction.weakening_distance": 4e-4,
+            "interaction.friction.healing_time": 0.2,
+        }
+    )
+    return Laws(scene)
+
+
+def after(laws, slip, status, slid, duration):
+    return float(slip_after(laws, np.array([slip]), status, np.array([slid]), duration)[0])
+
+
+def test_slip_grows_with_the_way_up_to_the_weakening_distance(laws):
+    """Either way alike; kinetic friction cannot become more kinetic."""
+    assert after(laws, 1e-4, SLIDES, 2e-4, 0.01) == pytest.approx(3e-4, rel=1e-12)
+    assert after(laws, 1e-4, -SLIDES, -2e-4, 0.01) == pytest.approx(3e-4, rel=1e-12)
+    assert after(laws, 3e-4, SLIDES, 2e-4, 0.01) == 4e-4
+
+
+def test_slip_heals_while_a_point_rests(laws):
+    """Stuck, or at its limit without moving: with the healing time."""
+    healed = 4e-4 * np.exp(-0.1 / 0.2)
+    assert after(laws, 4e-4, STICKS, 0.0, 0.1) == pytest.approx(healed, rel=1e-12)
+    assert after(laws, 4e-4, SLIDES, 0.0, 0.1) == pytest.approx(healed, rel=1e-12)
+
+
+@given(
+    slip=st.floats(0, 4e-4),
+    rests=st.floats(1e-4, 1.0),
+    parts=st.integers(1, 50),
+    status=st.sampled_from([STICKS, SLIDES, -SLIDES]),
+)
+def test_how_finely_a_rest_is_divided_does_not_matter(laws, slip, rests, parts, status):
+    """The same slip is left after one step and after many short ones."""
+    left = slip
+    for _ in range(parts):
+        left = after(laws, left, status, 0.0, rests / parts)
+    assert left == pytest.approx(after(laws, slip, status, 0.0, rests), rel=1e-9, abs=1e-15)
+
+
+@given(
+    slip=st.floats(0, 4e-4),
+    way=st.floats(-1e-6, 1e-6),
+    duration=st.floats(1e-7, 1e-5),
+    status=st.sampled_from([STICKS, SLIDES, -SLIDES]),
+)
+def test_what_lasts_an_instant_leaves_no_mark(laws, slip, way, duration, status):
+    """However the friction turns: the slip changes by the way and the time that passed."""
+    change = abs(after(laws, slip, status, way, duration) - slip)
+    assert change <= abs(way) + slip * duration / 0.2 + 1e-18
