@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from needle_sim_ros.base_motion import half_spacings
 from needle_sim_ros.errors import SolverError
+from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, parts_of_step
 from needle_sim_ros.tissue.dynamics import Dynamics, WithinStep
-from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
 class Coupled(NamedTuple):
@@ -104,16 +107,17 @@ class CoupledStep:
             equal = parts_of_step(contact, (end - start) * route.length, self._spacing)
         within = WithinStep(tissue, prediction, 1.0, contact.forces)
 
-        free, advance, count = None, 0.0, 0
-        done, size = start, (end - start) / equal
-        for number in range(equal):
-            for part in ends(contact, size * route.length):
-                last = part == 1.0 and number + 1 == equal
-                share = end if last else start + size * (number + part)
+        pieces = _pieces(start, end, equal)
+        if self._remembers and contact.touching:
+            pieces = self._breaking(contact, prediction.rows, route, pose, span) or pieces
+        free, advance, count, done = None, 0.0, 0, start
+        for begin, to in pieces:
+            for part in ends(contact, (to - begin) * route.length):
+                share = to if part == 1.0 else begin + part * (to - begin)
                 after = route.at(share)
                 rows: FreeRows = prediction.rows
                 here = within
-                if self._remembers and not last:
+                if self._remembers and share != end:
                     free = free or FreeOnTheWay(rows, contact)
                     here = within._replace(share=(share - start) / (end - start))
                     rows = free.at(here.share)
@@ -128,3 +132,38 @@ class CoupledStep:
         if not math.isfinite(np.add.reduce(contact.forces, axis=None) + contact.depth):
             raise SolverError("the tick gave numbers that are not finite")
         return Coupled(contact, tissue, pose), advance, count
+
+    def _breaking(
+        self,
+        contact: ContactState,
+        rows: FreeRows,
+        route: Route,
+        pose: BasePose,
+        span: tuple[float, float],
+    ) -> list[tuple[float, float]] | None:
+        """Return pieces of a step in which the surface breaks, the first up to there.
+
+        How the tissue is dented there decides where the track leads; how finely time is
+        divided must not.
+        """
+        start, end = span
+        step = Step(pose, route.at(end), 0.0, rows, _unread)
+        share = self._laws.breaking(contact, step)
+        if share is None:
+            return None
+        breaks = start + share * (end - start)
+        parts = half_spacings((end - breaks) * route.length, self._spacing)
+        return [(start, breaks), *_pieces(breaks, end, parts)]
+
+
+def _pieces(start: float, end: float, count: int) -> list[tuple[float, float]]:
+    """Divide a part of a tick into equal pieces."""
+    if count == 1:
+        return [(start, end)]
+    size = (end - start) / count
+    cuts = [*(start + size * number for number in range(count)), end]
+    return list(itertools.pairwise(cuts))
+
+
+def _unread(table: ResponseTable, forces: Vector, reading: Reading) -> Vector:
+    raise AssertionError("nothing is laid before the surface breaks")

@@ -140,7 +140,11 @@ class Needle:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction per inserted length; falls from static to kinetic over a slip distance."""
+    """Friction per inserted length.
+
+    Falls from static to kinetic over the weakening distance of slip, and comes back with the
+    healing time where a point rests.
+    """
 
     static: float = quantity(0.0, unit="N/m", ge=0)
     kinetic: float = quantity(0.0, unit="N/m", ge=0)

@@ -59,13 +59,13 @@ def test_a_slow_insertion_is_nearly_quasi_static(coarse_scene, drive):
 
 
 def test_the_tissue_comes_to_rest_in_a_hold(coarse_scene, drive):
-    """A stop from 50 mm/s: the markers still move at the next tick; 0.8 s later nothing moves
+    """A stop from 50 mm/s: the markers still move at the next tick; 1.8 s later nothing moves
     them but the tip's relaxation, which takes 1.5 s."""
     sim = Simulator(coarse_scene({**FULL, "solver.modes": 60, "solver.time_step": 2e-3}))
     drive(sim, 0.6, (0, 0, -50e-3), dt=2e-3)
-    hold = np.array([o.marker_displacements for o in drive(sim, 1.0, dt=2e-3)])
+    hold = np.array([o.marker_displacements for o in drive(sim, 2.0, dt=2e-3)])
     speeds = np.abs(np.diff(hold, axis=0)).max(axis=(1, 2))
-    assert speeds[:5].max() > 4 * speeds[-100:].max()
+    assert speeds[:5].max() > 5 * speeds[-100:].max()
     np.testing.assert_allclose(np.diff(np.log(speeds[-100:])).mean(), -2e-3 / 1.5, rtol=0.05)
 
 

@@ -42,6 +42,8 @@ _SLIGHT, _UNCUT = 0.05, 0.02
 # how far the tip may end from where a step took it to be, in track spacings: of a long step,
 # and of one however short
 _SETTLED, _NEAR = 0.02, 0.001
+# of a step: as late as the surface is broken for sure
+_BROKEN = 1e-6
 
 FreeRows = Callable[[ResponseTable], Vector]
 Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
@@ -198,12 +200,27 @@ class Contact:
             return state._replace(**solution.fields(), touching=True)
         # the surface breaks: the same step goes on with a track
         pressed = state.track._replace(dent=self._balance.dent(limit))
-        track = self._growth.opened(pressed, step, solution, state.forces)
+        track = self._growth.opened(pressed, step, solution, solution.forces)
         # friction starts from the dented tissue: what the tip did to the new point counts
         forces = np.zeros_like(track.points)
         forces[:1] = state.forces
         moved = _known(state.moved, forces, track, step)
         return self.at_rest()._replace(track=track, inserted=True, moved=moved, forces=forces)
+
+    def breaking(self, state: ContactState, step: Step) -> float | None:
+        """Return after what part of a step the surface that the tip presses on breaks.
+
+        The tip force rises evenly as base and tissue move. None where it does not break, or at
+        the step's very end.
+        """
+        assert state.track is not None
+        limit = self.laws.at(state.track.points[0]).puncture
+        rows = step.free(state.track.table)
+        pressed = self._balance.touch(state.track, step.after, rows, math.inf).tip
+        if pressed <= limit:
+            return None
+        share = (limit - state.tip) / (pressed - state.tip) + _BROKEN
+        return share if 0.0 < share < 1.0 - _BROKEN else None
 
     # ----------------------------------------------------------------- in the tissue
     def _slide(self, state: ContactState, step: Step) -> ContactState:

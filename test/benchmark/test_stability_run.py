@@ -4,7 +4,7 @@
 import pytest
 
 from needle_sim_ros.benchmark.stability_cells import cells
-from needle_sim_ros.benchmark.stability_run import Trace, run_moves
+from needle_sim_ros.benchmark.stability_run import Trace, run_cell, run_moves
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.simulator import Simulator
 
@@ -30,3 +30,13 @@ def test_friction_does_not_alternate_where_points_are_caught(number):
     ran = run_moves(Simulator(Scene.from_dict(cell.scene)), cell.moves, cell.level["time_step"])
     assert max(map(abs, ran.friction)) > 0
     assert ran.ringing < 1e-3
+
+
+@pytest.mark.parametrize("number", [3, 91, 183, 312, 458])
+def test_what_lasts_an_instant_leaves_no_mark(number):
+    """In the shock of a stop friction turns round and the tip is unloaded; what is left of it in
+    the hold hung on the time step by 1.3 to 3.3 % where static friction came back at once, or
+    the tip bore less from then on."""
+    result = run_cell(cells(number + 1)[number])
+    assert result.verdict == "held", result.reason
+    assert result.step_change < 2e-3

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from needle_sim_ros.interaction.friction import slip_after
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.scene import Scene
