@@ -16,6 +16,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.scene import Scene
 from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, parts_of_step
 from needle_sim_ros.tissue.dynamics import Dynamics, WithinStep
 from needle_sim_ros.tissue.response import Reading, ResponseTable
@@ -40,10 +41,7 @@ class CoupledStep:
         Between needle and tissue.
     empty : ResponseTable
         What a needle that has no track acts on.
-    spacing : float
-        Of the track, m.
-    remembers : bool
-        Whether the tissue has inertia or damping.
+    scene : Scene
     """
 
     def __init__(
@@ -51,11 +49,11 @@ class CoupledStep:
         dynamics: Dynamics,
         laws: Contact,
         empty: ResponseTable,
-        spacing: float,
-        remembers: bool,
+        scene: Scene,
     ) -> None:
         self._dynamics, self._laws, self._empty = dynamics, laws, empty
-        self._spacing, self._remembers = spacing, remembers
+        self._scene, self._spacing = scene, scene.solver.track_spacing
+        self._remembers = scene.solver.dynamics == "newmark"
 
     def carry_out(
         self,
@@ -104,7 +102,8 @@ class CoupledStep:
         if self._remembers:
             far = (end - start) * route.advance
             check_way(contact, far, self._spacing)
-            equal = parts_of_step(contact, (end - start) * route.length, self._spacing)
+            law, part = self._laws.laws.interaction.friction, end - start
+            equal = parts_of_step(self._scene, law, contact, route, part, dt, settling)
         within = WithinStep(tissue, prediction, 1.0, contact.forces)
 
         pieces = _pieces(start, end, equal)

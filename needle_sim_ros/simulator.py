@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needle_sim_ros.base_motion import AT_REST, BaseMotion, check, commanded, jumps
+from needle_sim_ros.base_motion import AT_REST, check, commanded, jumps
 from needle_sim_ros.command import BaseCommand
 from needle_sim_ros.coupled_step import Coupled, CoupledStep
 from needle_sim_ros.errors import CommandError, SceneError
@@ -92,8 +92,7 @@ class Simulator:
             self._dynamics,
             self._contact_laws,
             empty,
-            solver.track_spacing,
-            self._own_step is not None,
+            scene,
         )
         self._start = self._initial()
         self._state = self._start
@@ -193,7 +192,7 @@ class Simulator:
         check(self.scene, state.contact, state.pose, state.position, state.orientation, motion)
         here = Coupled(state.contact, state.tissue, state.pose)
         route = Route(state.position, state.orientation, state.pose, motion)
-        steps, equal, settling = self._steps(state, motion, dt)
+        steps, equal, settling = self._steps(state, route, dt)
         advance, parts, altered = 0.0, 0, False
         for number in range(steps):
             was = here.contact
@@ -245,14 +244,14 @@ class Simulator:
                 )
         return dt
 
-    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, int, bool]:
+    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, bool]:
         """Return time steps of a tick, equal parts of each, and whether the first must settle.
 
         The parts are 0 where each step decides for itself.
         """
-        contact = state.contact
+        contact, motion = state.contact, route.motion
         if self._own_step is None:
-            equal = equal_parts(self.scene, contact, motion, state.rate, dt)
+            equal = equal_parts(self.scene, contact, route, state.rate, dt)
             return 1, equal, False
         settling = (contact.inserted or contact.touching) and self._dynamics.settles
         jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)

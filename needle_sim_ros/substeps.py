@@ -19,15 +19,18 @@ from needle_sim_ros.base_motion import (
 from needle_sim_ros.errors import CommandError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import FreeRows
+from needle_sim_ros.interaction.friction import creep
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
-from needle_sim_ros.scene import Scene
+from needle_sim_ros.scene import Friction, Scene
 from needle_sim_ros.tissue.response import ResponseTable
 
 # how far the needle may go in and out in one time step of Newmark's method, in track spacings:
 # beyond, the tissue's motion on the way is not followed
 _FARTHEST_IN, _FARTHEST_OUT = 2, 4
 _AT_ITS_END = (1.0,)
+# slip that counts no more, in weakening distances
+_HEALED_OFF = 1e-3
 
 
 class Route:
@@ -45,17 +48,18 @@ class Route:
 
     Attributes
     ----------
+    motion : BaseMotion
     length : float
         Of the way, m.
     """
 
-    __slots__ = ("_end", "_motion", "_orientation", "_pose", "_position", "length")
+    __slots__ = ("_end", "_orientation", "_pose", "_position", "length", "motion")
 
     def __init__(
         self, position: Vector, orientation: Vector, pose: BasePose, motion: BaseMotion
     ) -> None:
         self._position, self._orientation = position, orientation
-        self._pose, self._motion = pose, motion
+        self._pose, self.motion = pose, motion
         self._end = self._posed(motion.position, motion.orientation)
         self.length = motion.length
 
@@ -68,7 +72,7 @@ class Route:
         """Return the pose after a part of the tick."""
         if share == 1.0:
             return self._end
-        return self._posed(*part_way(self._motion, self._position, self._orientation, share))
+        return self._posed(*part_way(self.motion, self._position, self._orientation, share))
 
     def _posed(self, position: Vector, orientation: Vector) -> BasePose:
         if orientation is self._orientation:
@@ -79,7 +83,7 @@ class Route:
 def equal_parts(
     scene: Scene,
     contact: ContactState,
-    motion: BaseMotion,
+    route: Route,
     rate: tuple[float, ...] | None,
     dt: float,
 ) -> int:
@@ -89,21 +93,42 @@ def equal_parts(
     ----------
     scene : Scene
     contact : ContactState
-    motion : BaseMotion
+    route : Route
+        Of the base in the tick.
     rate : tuple of float or None
         Of the base in the tick before; None where contact began or broke.
     dt : float
         s.
     """
+    motion = route.motion
     if not (contact.inserted or contact.touching) and motion.rate[2] > 0:
         return 1
     steps = static_steps(motion, scene.solver.track_spacing)
     if contact.inserted and steps < MOST_UNSTEADY:
-        length = scene.needle.length
-        stuck = not contact.status[:-1].all()
-        if stuck or jumps(motion.rate, rate, length):
-            return unsteady_steps(motion, dt, length, scene.interaction.friction, steps)
+        jump = jumps(motion.rate, rate, scene.needle.length)
+        return _unsteady(scene, scene.interaction.friction, contact, route, 1.0, dt, jump, steps)
     return steps
+
+
+def _unsteady(
+    scene: Scene,
+    friction: Friction,
+    contact: ContactState,
+    route: Route,
+    share: float,
+    dt: float,
+    jump: bool,
+    steps: int,
+) -> int:
+    """Return into how many parts the time falls in which friction changes, or as many as given."""
+    if not jump and contact.status[:-1].all():
+        whole, slip = friction.weakening_distance, contact.slip
+        heals = slip > _HEALED_OFF * whole
+        if abs(route.advance) > creep(friction) * dt:
+            heals &= slip < whole
+        if not heals.any():
+            return steps
+    return unsteady_steps(route.motion, share * dt, scene.needle.length, friction, steps)
 
 
 def check_way(contact: ContactState, advance: float, spacing: float) -> None:
@@ -125,18 +150,38 @@ def check_way(contact: ContactState, advance: float, spacing: float) -> None:
         )
 
 
-def parts_of_step(contact: ContactState, way: float, spacing: float) -> int:
+def parts_of_step(
+    scene: Scene,
+    friction: Friction,
+    contact: ContactState,
+    route: Route,
+    share: float,
+    dt: float,
+    jump: bool,
+) -> int:
     """Return in how many equal parts the contact follows a time step of Newmark's method.
 
     Parameters
     ----------
+    scene : Scene
+    friction : Friction
+        As it is now.
     contact : ContactState
-    way : float
-        Of the base in the step, m.
-    spacing : float
-        Of the track, m.
+    route : Route
+        Of the base in the tick.
+    share : float
+        Of the tick that the step takes.
+    dt : float
+        Of the tick, s.
+    jump : bool
+        Whether the tissue's velocity jumps.
     """
-    return half_spacings(way, spacing) if contact.inserted else 1
+    if not contact.inserted:
+        return 1
+    steps = half_spacings(share * route.length, scene.solver.track_spacing)
+    if steps >= MOST_UNSTEADY:
+        return steps
+    return _unsteady(scene, friction, contact, route, share, dt, jump, steps)
 
 
 def caught(before: ContactState, after: ContactState) -> bool:

@@ -7,6 +7,7 @@ compliances; the conditions of contact, beam and laws are written here a second 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -172,10 +173,12 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     law = scene.interaction.friction
     pose = state.pose
     advance = float(pose.axial @ (pose.origin - before.pose.origin))
-    # what slides goes on sliding as it did
+    # what slides goes on sliding as it did, what sticks rests
     ratio = advance / past.advance if advance * past.advance > 0 else 0.0
     onward = np.where(past.status[:-1] * advance > 0, np.abs(past.slid) * ratio, 0.0)
-    fallen = np.clip(1.0 - (past.slip + onward) / law.weakening_distance, 0.0, 1.0)
+    rested = math.exp((before.time - state.time) / law.healing_time)
+    slip = np.where(past.status[:-1] == 0, past.slip * rested, past.slip) + onward
+    fallen = np.clip(1.0 - slip / law.weakening_distance, 0.0, 1.0)
     limit = (track.kinetic[:n] + (track.static - track.kinetic)[:n] * fallen) * length
     presliding = contact.friction / (law.presliding_stiffness * np.maximum(length, 1e-300))
     used = length > 1e-6 * track.spacing

@@ -192,15 +192,18 @@ static double set_up(Problem *p, const Guess *g)
         p->arclength[k] = h * k + (number[LENGTH] - depth);
     double advance = number[ADVANCE];
     double pace = advance * number[BEFORE] > 0 ? advance / number[BEFORE] : 0.0;
+    double rested = exp(-number[DURATION] / number[HEALING]);
     for (int i = 0; i < n; i++) {
         along[i] = dot(p->free + i * d, p->axial, d);
         rows[ELASTIC * n + i] =
             dot(g->moved + i * d, p->axial, d) - along[i] + advance + p->strain[i];
         rows[SOFT * n + i] = 1.0 / (number[PRESLIDING] * fmax(lengths[i], LEAST * h));
-        /* friction.limits: what slides goes on */
+        /* friction.limits: what slides goes on, what sticks rests */
         double slip = p->slip[i];
         if (p->status[i] * advance > 0)
             slip += fabs(g->slid[i]) * pace;
+        else if (p->status[i] == 0)
+            slip *= rested;
         double left = fmax(1.0 - slip / number[WEAKENING], 0.0);
         rows[BOUND * n + i] = (left * (g->fixed[i] - g->kinetic[i]) + g->kinetic[i]) * lengths[i];
     }

@@ -172,7 +172,8 @@ class Balance:
         n = len(bounds) - 1
         length = coverage(depth, n, h)
         share = tip_share(length, depth, self._bevel, h)
-        start = FrictionStart.of(track, memory, bounds, step.advance)
+        rested = friction.rested(self.laws, step.duration)
+        start = FrictionStart.of(track, memory, bounds, step.advance, rested)
         stiffness = self.laws.interaction.friction.presliding_stiffness
         presliding = np.maximum(length, LEAST * h)
         presliding *= stiffness

@@ -9,6 +9,7 @@ how finely time is divided.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.track import Track
+from needle_sim_ros.scene import Friction
 
 # advances up to this, m, count as a hold
 STILL = 1e-12
@@ -61,6 +63,8 @@ class FrictionStart(NamedTuple):
         In the step before, m.
     pace : float
         Of this step, in proportion to the one before.
+    rested : float
+        What is left of the slip of a point that rests for the step.
     sliding : int
         1 or -1 where all points are guessed to go on sliding as they do, else 0.
     """
@@ -73,6 +77,7 @@ class FrictionStart(NamedTuple):
     advance: float
     slid: Vector
     pace: float
+    rested: float
     sliding: int
 
     @property
@@ -87,6 +92,7 @@ class FrictionStart(NamedTuple):
         memory: FrictionMemory,
         status: NDArray[np.int8],
         advance: float,
+        rested: float,
     ) -> FrictionStart:
         """Fit what was before to a step; `status` has one entry more, the tip's."""
         n = len(status) - 1
@@ -97,16 +103,18 @@ class FrictionStart(NamedTuple):
         if advance * sliding <= 0 or _least(strain, sliding) <= 0:
             sliding = 0
         static, kinetic = track.static[:n], track.kinetic[:n]
-        return cls(static, kinetic, slip, strain, status[:-1], advance, slid, pace, sliding)
+        bounds = status[:-1]
+        return cls(static, kinetic, slip, strain, bounds, advance, slid, pace, rested, sliding)
 
 
 def limits(laws: Laws, start: FrictionStart) -> Vector:
     """Return the friction limits of a step per length, either way, N/m, shape (n,).
 
-    What slides goes on sliding as fast against the needle as it did.
+    What slides goes on sliding as fast against the needle as it did, what sticks rests.
     """
     going_on = start.status * start.advance > 0
-    slip = start.slip + np.where(going_on, start.onward, 0.0)
+    slip = np.where(start.status == 0, start.slip * start.rested, start.slip)
+    slip += np.where(going_on, start.onward, 0.0)
     return laws.friction(start.static, start.kinetic, slip)
 
 
@@ -115,6 +123,16 @@ def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
     if float(start.slip.min()) >= laws.interaction.friction.weakening_distance:
         return start.kinetic
     return laws.friction(start.static, start.kinetic, start.slip + start.onward)
+
+
+def creep(friction: Friction) -> float:
+    """Return the speed below which a point that slides rests the more, the slower, m/s."""
+    return _CREEP * friction.weakening_distance / friction.healing_time
+
+
+def rested(laws: Laws, duration: float) -> float:
+    """Return what part of the slip is left after a rest, s."""
+    return math.exp(-duration / laws.interaction.friction.healing_time)
 
 
 def slip_after(
@@ -138,8 +156,9 @@ def slip_after(
     """
     friction = laws.interaction.friction
     whole, healing = friction.weakening_distance, duration / friction.healing_time
+    slow = creep(friction) * duration
     way = np.where(status != 0, np.abs(slid), 0.0)
-    rest = np.maximum(1.0 - way / (_CREEP * whole * healing), 0.0)
+    rest = np.maximum(1.0 - way / slow, 0.0)
     return np.minimum(slip * np.exp(-healing * rest) + way, whole)
 
 

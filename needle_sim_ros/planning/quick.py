@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needle_sim_ros.base_motion import BaseMotion
 from needle_sim_ros.errors import NeedleSimError, SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.similarity import softened
 from needle_sim_ros.simulator import Simulator, Snapshot
+from needle_sim_ros.substeps import Route
 from needle_sim_ros.tissue.build import BuiltTissue, plane_points
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import planned_path, spacings
@@ -125,11 +125,10 @@ class QuickSimulator(Simulator):
         # the next rollout is elsewhere before it would be there
         self._contact_laws.layer.prepares = False
 
-    def _steps(self, state: Snapshot, motion: BaseMotion, dt: float) -> tuple[int, int, bool]:
+    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, bool]:
         spacing = self.scene.solver.track_spacing
-        advance = math.dist(motion.position, state.position)
-        by_turn = math.ceil(math.hypot(*motion.turning) / _MOST_TURN - 1e-9)
-        by_way = math.ceil(advance / (_FARTHEST * spacing) - 1e-9)
+        by_turn = math.ceil(math.hypot(*route.motion.turning) / _MOST_TURN - 1e-9)
+        by_way = math.ceil(route.length / (_FARTHEST * spacing) - 1e-9)
         if state.contact.touching:  # nothing on the way to a puncture depends on the step
             by_way = 1
         return 1, max(1, by_way, by_turn), False
