@@ -100,20 +100,18 @@ def part_way(
     return place, multiply(from_rotation_vector(share * motion.turning), orientation)
 
 
-def jumps(rate: tuple[float, ...], before: tuple[float, ...] | None, length: float) -> bool:
-    """Tell whether the tissue's velocity jumps at the start of a tick.
+def jumps(rate: tuple[float, ...], before: tuple[float, ...], length: float) -> bool:
+    """Tell whether the base's velocity jumps at the start of a tick.
 
     Parameters
     ----------
     rate, before : tuple of float, shape (6,)
-        Of the base in this tick and the last one; None where contact began or broke.
+        Of the base in this tick and the last one.
     length : float
         Of turning, the speed at this length counts, m.
     """
     if rate == before:
         return False
-    if before is None:
-        return True
     largest = change = 0.0
     for number, (now, then) in enumerate(zip(rate, before, strict=True)):
         scale = 1.0 if number < 3 else length

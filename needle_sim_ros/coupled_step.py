@@ -17,7 +17,7 @@ from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.substeps import FreeOnTheWay, Route, check_way, ends, parts_of_step
+from needle_sim_ros.substeps import FreeOnTheWay, Reach, Route, ends, parts_of_step
 from needle_sim_ros.tissue.dynamics import Dynamics, WithinStep
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
@@ -53,6 +53,7 @@ class CoupledStep:
     ) -> None:
         self._dynamics, self._laws, self._empty = dynamics, laws, empty
         self._scene, self._spacing = scene, scene.solver.track_spacing
+        self._reach, self._length = Reach.of(scene), scene.needle.length
         self._remembers = scene.solver.dynamics == "newmark"
 
     def carry_out(
@@ -98,10 +99,10 @@ class CoupledStep:
         dynamics, (start, end) = self._dynamics, span
         contact, tissue, pose = state
         prediction = dynamics.predict(tissue, settling)
-        far = 0.0
+        far = way = 0.0
         if self._remembers:
-            far = (end - start) * route.advance
-            check_way(contact, far, self._spacing)
+            far, way = (end - start) * route.advance, (end - start) * route.swept(self._length)
+            self._reach.check(contact, far, way)
             law, part = self._laws.laws.interaction.friction, end - start
             equal = parts_of_step(self._scene, law, contact, route, part, dt, settling)
         within = WithinStep(tissue, prediction, 1.0, contact.forces)
@@ -125,7 +126,7 @@ class CoupledStep:
                 advance += step.advance
                 pose, done, count = after, share, count + 1
         if self._remembers:
-            check_way(contact, far, self._spacing)
+            self._reach.check(contact, far, way)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
         if not math.isfinite(np.add.reduce(contact.forces, axis=None) + contact.depth):

@@ -148,7 +148,7 @@ class Friction:
 
     static: float = quantity(0.0, unit="N/m", ge=0)
     kinetic: float = quantity(0.0, unit="N/m", ge=0)
-    presliding_stiffness: float = quantity(1e8, unit="N/m per m", gt=0)
+    presliding_stiffness: float = quantity(1e9, unit="N/m per m", gt=0)
     weakening_distance: float = quantity(5e-4, unit="m", gt=0)
     healing_time: float = quantity(0.1, unit="s", gt=0)
 

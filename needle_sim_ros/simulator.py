@@ -33,6 +33,9 @@ from needle_sim_ros.tissue.response import ResponseTable
 
 # rows of responses for which there is room from the start, at most
 _MOST_ROWS = 400
+# time steps that settle after points of the track are caught: the force that holds them rings
+# longer than what the base's own velocity sends
+_CAUGHT = 2
 
 
 class Snapshot(NamedTuple):
@@ -43,8 +46,8 @@ class Snapshot(NamedTuple):
     position: Vector
     orientation: Vector
     pose: BasePose
-    # of the base in the last tick; None when contact changed or caught tissue that moves
-    rate: tuple[float, ...] | None
+    rate: tuple[float, ...]  # of the base in the last tick
+    unsettled: int  # time steps to come in which the tissue's velocity has to settle
     parts: int  # that the last tick was solved in
     process: Process
     contact: ContactState
@@ -130,6 +133,7 @@ class Simulator:
             quaternion,
             BasePose.of(position, quaternion, scene.dimension),
             AT_REST,
+            0,
             1,
             Process.FREE,
             self._contact_laws.at_rest(),
@@ -192,18 +196,17 @@ class Simulator:
         check(self.scene, state.contact, state.pose, state.position, state.orientation, motion)
         here = Coupled(state.contact, state.tissue, state.pose)
         route = Route(state.position, state.orientation, state.pose, motion)
-        steps, equal, settling = self._steps(state, route, dt)
-        advance, parts, altered = 0.0, 0, False
+        steps, equal, unsettled = self._steps(state, route, dt)
+        advance, parts = 0.0, 0
         for number in range(steps):
-            was = here.contact
+            was, settling = here.contact, unsettled > 0 and self._dynamics.settles
             halves = 2 if settling else 1
             for half in range(number * halves, (number + 1) * halves):
                 span = half / (halves * steps), (half + 1) / (halves * steps)
                 here, moved, count = self._stepper.carry_out(here, route, span, dt, equal, settling)
                 advance += moved
                 parts += count
-            altered = self._altered(was, here.contact)
-            settling = altered and self._dynamics.settles
+            unsettled = max(unsettled - 1, self._altered(was, here.contact))
         contact = here.contact
         process = classify(contact.touching, contact.inserted, advance)
         self._state = Snapshot(
@@ -212,7 +215,8 @@ class Simulator:
             motion.position,
             motion.orientation,
             here.pose,
-            None if altered else motion.rate,
+            motion.rate,
+            unsettled,
             parts,
             process,
             contact,
@@ -225,11 +229,11 @@ class Simulator:
         self.statistics.tick(time.perf_counter() - began, contact.solves, contact.residual)
         return self.observe()
 
-    def _altered(self, was: ContactState, now: ContactState) -> bool:
-        """Tell whether contact began or broke, or caught tissue that moves."""
+    def _altered(self, was: ContactState, now: ContactState) -> int:
+        """Return how many time steps it takes to settle that contact began, broke or caught."""
         if (was.touching, was.inserted) != (now.touching, now.inserted):
-            return True
-        return self._dynamics.settles and caught(was, now)
+            return 1
+        return _CAUGHT if self._dynamics.settles and caught(was, now) else 0
 
     def _checked(self, dt: float) -> float:
         dt = float(dt)
@@ -244,18 +248,18 @@ class Simulator:
                 )
         return dt
 
-    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, bool]:
-        """Return time steps of a tick, equal parts of each, and whether the first must settle.
+    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, int]:
+        """Return time steps of a tick, equal parts of each, and how many have to settle.
 
         The parts are 0 where each step decides for itself.
         """
-        contact, motion = state.contact, route.motion
+        contact, rate = state.contact, route.motion.rate
+        jump = jumps(rate, state.rate, self.scene.needle.length)
         if self._own_step is None:
-            equal = equal_parts(self.scene, contact, route, state.rate, dt)
-            return 1, equal, False
-        settling = (contact.inserted or contact.touching) and self._dynamics.settles
-        jump = settling and jumps(motion.rate, state.rate, self.scene.needle.length)
-        return round(dt / self._own_step), 0, jump
+            jump = jump or state.unsettled > 0
+            return 1, equal_parts(self.scene, contact, route, jump, dt), 0
+        unsettled = max(state.unsettled, jump) if contact.inserted or contact.touching else 0
+        return round(dt / self._own_step), 0, unsettled
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

@@ -7,11 +7,13 @@ more often, so that track and friction do not hang on how far the base goes in a
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 from needle_sim_ros.base_motion import (
     MOST_UNSTEADY,
     BaseMotion,
     half_spacings,
-    jumps,
     part_way,
     static_steps,
     unsteady_steps,
@@ -24,10 +26,14 @@ from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.scene import Friction, Scene
 from needle_sim_ros.tissue.response import ResponseTable
+from needle_sim_ros.tissue.waves import slowest_period
 
 # how far the needle may go in and out in one time step of Newmark's method, in track spacings:
 # beyond, the tissue's motion on the way is not followed
 _FARTHEST_IN, _FARTHEST_OUT = 2, 4
+# how far the base may go in one that is shorter than the slowest wave's period, in depths of
+# the tissue: beyond, what the wave that it sends does to friction is not resolved
+_FARTHEST = 0.02
 _AT_ITS_END = (1.0,)
 # slip that counts no more, in weakening distances
 _HEALED_OFF = 1e-3
@@ -68,6 +74,10 @@ class Route:
         """Of the way along the needle, m."""
         return self._pose.ahead(self._end)
 
+    def swept(self, length: float) -> float:
+        """Return how far the base goes and a needle of some length swings at most, m."""
+        return self.length + length * math.hypot(*self.motion.turning)
+
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""
         if share == 1.0:
@@ -84,7 +94,7 @@ def equal_parts(
     scene: Scene,
     contact: ContactState,
     route: Route,
-    rate: tuple[float, ...] | None,
+    jump: bool,
     dt: float,
 ) -> int:
     """Return into how many equal parts a quasi-static tick falls.
@@ -95,8 +105,8 @@ def equal_parts(
     contact : ContactState
     route : Route
         Of the base in the tick.
-    rate : tuple of float or None
-        Of the base in the tick before; None where contact began or broke.
+    jump : bool
+        Whether the velocity of base or tissue jumps.
     dt : float
         s.
     """
@@ -105,7 +115,6 @@ def equal_parts(
         return 1
     steps = static_steps(motion, scene.solver.track_spacing)
     if contact.inserted and steps < MOST_UNSTEADY:
-        jump = jumps(motion.rate, rate, scene.needle.length)
         return _unsteady(scene, scene.interaction.friction, contact, route, 1.0, dt, jump, steps)
     return steps
 
@@ -131,23 +140,54 @@ def _unsteady(
     return unsteady_steps(route.motion, share * dt, scene.needle.length, friction, steps)
 
 
-def check_way(contact: ContactState, advance: float, spacing: float) -> None:
-    """Raise CommandError where a time step of Newmark's method takes the needle too far.
+class Reach(NamedTuple):
+    """How far the base may go in one time step of Newmark's method while the needle is inserted.
 
-    Parameters
+    Attributes
     ----------
-    contact : ContactState
-    advance : float
-        Of the base along the needle in the step, m.
     spacing : float
         Of the track, m.
+    way : float
+        In any direction, turning included, m.
+    why : str
+        Where that is bounded.
     """
-    most = _FARTHEST_IN if advance > 0 else _FARTHEST_OUT
-    if contact.inserted and abs(advance) > most * spacing * (1 + 1e-9):
-        raise CommandError(
-            f"the needle would go {abs(advance):g} m in one time step, more than {most} times "
-            f"solver.track_spacing ({spacing:g} m): solver.time_step is too long for it"
-        )
+
+    spacing: float
+    way: float
+    why: str
+
+    @classmethod
+    def of(cls, scene: Scene) -> Reach:
+        """Work out that of a scene."""
+        period, depth = slowest_period(scene.tissue), scene.tissue.size[-1]
+        if scene.solver.time_step >= period:
+            return cls(scene.solver.track_spacing, math.inf, "")
+        why = f"{_FARTHEST:.0%} of the tissue's depth, while its slowest wave takes {period:.3g} s"
+        return cls(scene.solver.track_spacing, _FARTHEST * depth, why)
+
+    def check(self, contact: ContactState, advance: float, way: float) -> None:
+        """Raise CommandError where a time step takes the needle too far.
+
+        Parameters
+        ----------
+        contact : ContactState
+        advance, way : float
+            Of the base in the step, along the needle and in all, m.
+        """
+        if not contact.inserted:
+            return
+        most = _FARTHEST_IN if advance > 0 else _FARTHEST_OUT
+        if abs(advance) > most * self.spacing * (1 + 1e-9):
+            raise CommandError(
+                f"the needle would go {abs(advance):g} m in one time step, more than {most} times "
+                f"solver.track_spacing ({self.spacing:g} m): solver.time_step is too long for it"
+            )
+        if way > self.way * (1 + 1e-9):
+            raise CommandError(
+                f"the base would go {way:g} m in one time step, more than {self.way:g} m, "
+                f"{self.why}: solver.time_step is too long for it"
+            )
 
 
 def parts_of_step(

@@ -41,7 +41,7 @@ AXES: dict[str, tuple[float, ...]] = {
     "track_spacing": (7e-4, 1e-3, 2e-3, 3e-3),
     "friction": (0.0, 0.01, 0.03, 0.06),
     "cutting": (0.0, 2e-4, 1e-3),
-    "presliding": (3e5, 3e6),
+    "presliding": (3e6, 3e7),
     "deviation": (0.0, 0.05, -0.3),
     "ripple": (0.0, 0.0, 0.3),
     "dynamics": (0, 1, 2),

@@ -115,7 +115,7 @@ def _scene(number: int, level: dict[str, float]) -> dict[str, Any]:
             "friction": {
                 "static": 1.1 * kinetic,
                 "kinetic": kinetic,
-                "presliding_stiffness": 3e5 * stiffness,
+                "presliding_stiffness": 3e6 * stiffness,
             },
             "cutting": {"force": 2e-4 * stiffness, "relaxation_time": 0.5},
             "puncture": {"force": 3e-4 * stiffness},

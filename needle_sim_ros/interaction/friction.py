@@ -22,7 +22,7 @@ from needle_sim_ros.scene import Friction
 
 # advances up to this, m, count as a hold
 STILL = 1e-12
-# weakening distances per healing time: a point that slides slower rests the more, the slower
+# weakening distances per healing time: a point that slides as fast heals half as fast as at rest
 _CREEP = 1e-3
 
 
@@ -126,7 +126,7 @@ def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
 
 
 def creep(friction: Friction) -> float:
-    """Return the speed below which a point that slides rests the more, the slower, m/s."""
+    """Return the speed at which a point that slides heals half as fast as one at rest, m/s."""
     return _CREEP * friction.weakening_distance / friction.healing_time
 
 
@@ -140,7 +140,7 @@ def slip_after(
 ) -> Vector:
     """Return the slip that counts after a step, m, shape (n,).
 
-    It grows as a point slides, up to the weakening distance, and heals as it rests.
+    It grows as a point slides, up to the weakening distance, and heals the faster, the slower.
 
     Parameters
     ----------
@@ -155,11 +155,10 @@ def slip_after(
         Of the step, s.
     """
     friction = laws.interaction.friction
-    whole, healing = friction.weakening_distance, duration / friction.healing_time
-    slow = creep(friction) * duration
     way = np.where(status != 0, np.abs(slid), 0.0)
-    rest = np.maximum(1.0 - way / slow, 0.0)
-    return np.minimum(slip * np.exp(-healing * rest) + way, whole)
+    heals = duration / friction.healing_time / (1.0 + way / (creep(friction) * duration))
+    left = np.exp(-heals)
+    return np.minimum(slip * left + way * (1.0 - left) / heals, friction.weakening_distance)
 
 
 def guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:

@@ -125,13 +125,13 @@ class QuickSimulator(Simulator):
         # the next rollout is elsewhere before it would be there
         self._contact_laws.layer.prepares = False
 
-    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, bool]:
+    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, int]:
         spacing = self.scene.solver.track_spacing
         by_turn = math.ceil(math.hypot(*route.motion.turning) / _MOST_TURN - 1e-9)
         by_way = math.ceil(route.length / (_FARTHEST * spacing) - 1e-9)
         if state.contact.touching:  # nothing on the way to a puncture depends on the step
             by_way = 1
-        return 1, max(1, by_way, by_turn), False
+        return 1, max(1, by_way, by_turn), 0
 
     def next_stop(self) -> float:
         """Return how far the base should go in the next step, m.
