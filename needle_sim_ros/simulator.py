@@ -199,7 +199,12 @@ class Simulator:
         steps, equal, unsettled = self._steps(state, route, dt)
         advance, parts = 0.0, 0
         for number in range(steps):
-            was, settling = here.contact, unsettled > 0 and self._dynamics.settles
+            was = here.contact
+            if not unsettled and self._contact_laws.meets(
+                was, here.pose, route.at((number + 1) / steps)
+            ):
+                unsettled = 1
+            settling = unsettled > 0 and self._dynamics.settles
             halves = 2 if settling else 1
             for half in range(number * halves, (number + 1) * halves):
                 span = half / (halves * steps), (half + 1) / (halves * steps)

@@ -72,10 +72,6 @@ def test_a_turn_that_begins_is_a_jump():
     assert not jumps((0, 0, -3e-3, 0, 1e-3, 0), (0, 0, -3e-3, 0, 0, 0), LENGTH)
 
 
-def test_a_changed_contact_is_a_jump():
-    assert jumps((0, 0, -3e-3, 0, 0, 0), None, LENGTH)
-
-
 @given(st.floats(1e-6, 0.1))
 def test_static_steps_are_short(advance):
     motion = commanded(BaseCommand(velocity=(0, 0, -advance)), PLACE, DOWN, 1.0)

@@ -11,7 +11,7 @@ from needle_sim_ros.base_motion import commanded
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.interaction.state import AIMED, ContactState
-from needle_sim_ros.substeps import FreeOnTheWay, Route, caught, check_way, ends, parts_of_step
+from needle_sim_ros.substeps import FreeOnTheWay, Reach, Route, caught, ends, parts_of_step
 
 PLACE = np.array([0.01, 0.0, 0.14])
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
@@ -75,16 +75,51 @@ def test_parts_end_where_the_tip_is_in_the_middle_of_a_segment(simulator):
 
 
 def test_newmark_steps_in_and_out_are_bounded(simulator):
-    contact = inserted(simulator())
-    check_way(contact, 2 * SPACING, SPACING)
-    check_way(contact, -4 * SPACING, SPACING)
+    contact, reach = inserted(simulator()), Reach(SPACING, 1.0, "")
+    reach.check(contact, 2 * SPACING, 2 * SPACING)
+    reach.check(contact, -4 * SPACING, 4 * SPACING)
     for advance, most in ((2.1, 2), (-4.1, 4)):
         with pytest.raises(CommandError, match=f"{most} times solver.track_spacing.*time_step"):
-            check_way(contact, advance * SPACING, SPACING)
-    assert parts_of_step(contact, 1.6 * SPACING, SPACING) == 4
-    free = simulator().snapshot().contact
-    check_way(free, 1.0, SPACING)
-    assert parts_of_step(free, 1.0, SPACING) == 1
+            reach.check(contact, advance * SPACING, abs(advance) * SPACING)
+    reach.check(simulator().snapshot().contact, 1.0, 1.0)
+
+
+def test_steps_that_resolve_a_wave_are_bounded_in_any_direction(simulator, coarse_scene):
+    """2 % of the 80 mm; a step longer than the wave's 0.14 s has no wave to resolve."""
+    contact = inserted(simulator())
+    reach = Reach.of(coarse_scene({"solver.time_step": 0.05}))
+    reach.check(contact, 0.0, 1.6e-3)
+    with pytest.raises(CommandError, match=r"0.0017 m in one time step, more than 0.0016 m, 2%"):
+        reach.check(contact, 0.0, 1.7e-3)
+    Reach.of(coarse_scene({"solver.time_step": 0.2})).check(contact, 0.0, 1.0)
+
+
+def test_a_turn_sweeps_the_needle():
+    assert route(angular_velocity=(0.0, 2.0, 0.0)).swept(0.1) == pytest.approx(0.02)
+    assert route(velocity=(0.03, 0.0, -0.04)).swept(0.1) == pytest.approx(5e-3)
+
+
+def test_a_step_of_the_tissue_falls_in_parts(simulator):
+    """Of half a track spacing; of half the healing time while friction recovers."""
+    scene = simulator().scene
+    law, contact = scene.interaction.friction, inserted(simulator())
+
+    def parts(way, dt, jump=False, now=contact):
+        pose = BasePose.of(PLACE, DOWN, 2)
+        moved = commanded(BaseCommand(velocity=(0, 0, -way / dt)), PLACE, DOWN, dt)
+        return parts_of_step(scene, law, now, Route(PLACE, DOWN, pose, moved), 1.0, dt, jump)
+
+    assert parts(1.6 * SPACING, 0.1) == 4
+    assert parts(1.0, 0.1, now=simulator().snapshot().contact) == 1
+    whole = np.full_like(contact.slip, law.weakening_distance)
+    sliding = contact._replace(slip=whole, status=np.ones_like(contact.status))
+    assert parts(0.1 * SPACING, 1.0, now=sliding) == 1
+    assert parts(0.0, 1.0, now=sliding) == parts(0.0, 1.0, jump=True, now=sliding) == 20
+    assert parts(0.0, 1.0, now=sliding._replace(slip=1e-4 * whole)) == 1
+    half = sliding._replace(slip=0.5 * whole)
+    assert parts(0.1 * SPACING, 1.0, now=half) == 20
+    stuck = sliding._replace(slip=0 * whole, status=np.zeros_like(contact.status))
+    assert parts(0.0, 1.0, now=stuck) == 20
 
 
 def test_free_displacement_starts_where_the_tissue_is(simulator):

@@ -264,10 +264,10 @@ def _varied(scene: Scene, changes: Mapping[str, object]) -> Simulator:
 
 
 def _judge_hold(cell: Cell, scene: Scene, result: CellResult) -> None:
-    """Insert, hold for 0.4 s: with 20 ms and 1 ms, and over two decades of tolerance."""
+    """Insert in 0.6 s, hold for 0.4: with 20 ms and 1 ms, over two decades of tolerance."""
     x, _, z = scene.protocol[0].velocity
     way = math.hypot(x, z)
-    speed = way / 0.4
+    speed = way / 0.6
     ticks = max(1, round(way / (speed * 0.02)))
     pace = way / (ticks * 0.02)
     inward = Move(ticks, (pace * x / way, 0.0, pace * z / way))

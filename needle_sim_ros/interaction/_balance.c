@@ -126,8 +126,9 @@ static void slip_after(Problem *p, const signed char *status)
     double whole = p->numbers[WEAKENING], healing = p->numbers[DURATION] / p->numbers[HEALING];
     for (int i = 0; i < p->n; i++) {
         double way = status[i] != 0 ? fabs(p->rows[SLID * p->n + i]) : 0.0;
-        double heals = healing / (1.0 + way / (CREEP * whole * healing)), left = exp(-heals);
-        p->rows[SLIP * p->n + i] = fmin(p->slip[i] * left + way * (1.0 - left) / heals, whole);
+        double heals = healing / (1.0 + way / (CREEP * whole * healing));
+        double left = p->slip[i] * exp(-heals) - way * expm1(-heals) / heals;
+        p->rows[SLIP * p->n + i] = fmin(left, whole);
     }
 }
 

@@ -140,6 +140,12 @@ class Contact:
     def _tip(self, pose: BasePose) -> Vector:
         return np.asarray(pose.origin + self._scene.needle.length * pose.axial)
 
+    def meets(self, state: ContactState, before: BasePose, after: BasePose) -> bool:
+        """Tell whether a free tip gets through the level of the surface on the way."""
+        if state.touching or state.inserted:
+            return False
+        return bool(self._tip(after)[-1] < 0 <= self._tip(before)[-1])
+
     def _approach(self, state: ContactState, step: Step) -> ContactState:
         """Find out whether the free tip meets the surface or the old channel."""
         if state.touching:
@@ -297,6 +303,8 @@ class Contact:
         if solves != solution.solves:
             solution = solution._replace(solves=solves)
         rate = min(max(went, 0.0), 1.0)
+        if engaged and heading > 0:
+            track = self._growth.cut(track, step, solution, depth)
         bearing = limit if engaged else self.laws.relaxed(state.bearing, step.duration)
         place = (track, False, True, depth, front, rate, heading, bearing)
         return ContactState(*place, *solution.in_state())

@@ -157,8 +157,8 @@ def slip_after(
     friction = laws.interaction.friction
     way = np.where(status != 0, np.abs(slid), 0.0)
     heals = duration / friction.healing_time / (1.0 + way / (creep(friction) * duration))
-    left = np.exp(-heals)
-    return np.minimum(slip * left + way * (1.0 - left) / heals, friction.weakening_distance)
+    left = slip * np.exp(-heals) - way * np.expm1(-heals) / heals
+    return np.minimum(left, friction.weakening_distance)
 
 
 def guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:

@@ -34,6 +34,8 @@ _APPENDED, _LAID = 0.91, 0.94
 _EACH, _EACH_ASKED, _EACH_WEIGHED = 0.06, 0.03, 0.04
 # after the components that are read
 _READ_BEYOND = 0.42
+# of a segment: as close before its middle is as good
+_NEARLY = 0.01
 
 
 class TrackGrowth:
@@ -94,10 +96,12 @@ class TrackGrowth:
                     return track
                 track = layer.read_beyond_mesh(track, self._bevel)
             elif ahead.point is None:
-                if passed < AIMED:
-                    return track
-                direction = self._cut(step, bent)
-                heading = self._pulled_back(step, track, direction, forces, ahead)
+                heading = ahead.heading
+                if heading is None:
+                    if passed < AIMED:
+                        return track
+                    direction = self._cut(step, bent)
+                    heading = self._pulled_back(step, track, direction, forces, ahead)
                 aimed = layer.aim(track, heading, self._foresight)
                 assert aimed.ahead is not None and aimed.ahead.point is not None
                 if not self._in_tissue(aimed.ahead.point):
@@ -130,6 +134,27 @@ class TrackGrowth:
                 track = layer.extend(track)
             else:
                 return track
+
+    def cut(self, track: Track, step: Step, solution: BalanceSolution, depth: float) -> Track:
+        """Return the track with the direction of the cut, if a step ends where that is due.
+
+        The next one aims the track by it: where the tip is then, the needle may be bent and
+        the tissue turned otherwise.
+        """
+        ahead = track.ahead
+        if ahead is None or ahead.point is not None or ahead.heading is not None:
+            return track
+        if depth / track.spacing - (track.laid - 2) < AIMED - _NEARLY or not self._turns(ahead):
+            return track
+        direction = self._cut(step, solution)
+        heading = self._pulled_back(step, track, direction, solution.forces, ahead)
+        return track._replace(ahead=ahead._replace(heading=heading))
+
+    def _turns(self, ahead: NextPoint) -> bool:
+        """Tell whether it is known how the tissue ahead of the tip is turned."""
+        if self._layer.near is not None and ahead.near is None:
+            return False
+        return ahead.turning is not None and len(ahead.turning.columns) == self._dimension
 
     def _cut(self, step: Step, bent: ContactState | BalanceSolution) -> Vector:
         pose = step.after

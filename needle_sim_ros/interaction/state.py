@@ -17,7 +17,7 @@ _NONE = np.empty(0)
 # The midpoint rule makes the path converge with the square of the spacing.
 AIMED = 0.5
 # advances, in track spacings, so small that the step in which the tip comes there will do;
-# parts of a step not worth a step of their own
+# part of a step that is not worth a step of its own
 _SMALL, _SLIVER = 0.05, 0.02
 
 
@@ -114,4 +114,4 @@ class ContactState(NamedTuple):
             return None
         passed = self.depth / track.spacing - (track.laid - 2)
         share = (AIMED - passed) * track.spacing / (self.rate * advance)
-        return share if _SLIVER < share < 1.0 - _SLIVER else None
+        return max(share, _SLIVER) if 0.0 < share < 1.0 - _SLIVER else None

@@ -71,8 +71,10 @@ class NextPoint(NamedTuple):
         Tells how the tissue ahead of the tip is turned, as far as it is known.
     near : Turning or None
         What the mesh does not show of that.
-    point, heading : ndarray, shape (d,), or None
-        Its place, m, and the cut's unit direction when it was aimed.
+    heading : ndarray, shape (d,), or None
+        The cut's unit direction with the tip in the middle of the last segment.
+    point : ndarray, shape (d,), or None
+        Its place, m, when the track was aimed.
     footprint : Footprint or None
     onward : ndarray of int or None
         Nodes that what comes after it will touch, where these are to be asked for next.
@@ -93,8 +95,8 @@ class NextPoint(NamedTuple):
     shares: Shares | None = None
     turning: Reading | None = None
     near: Turning | None = None
-    point: Vector | None = None
     heading: Vector | None = None
+    point: Vector | None = None
     footprint: Footprint | None = None
     onward: Index | None = None
     asked: bool = False

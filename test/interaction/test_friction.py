@@ -30,8 +30,8 @@ def after(laws, slip, status, slid, duration):
 
 def test_slip_grows_with_the_way_up_to_the_weakening_distance(laws):
     """Either way alike; kinetic friction cannot become more kinetic."""
-    assert after(laws, 1e-4, SLIDES, 2e-4, 0.01) == pytest.approx(3e-4, rel=1e-12)
-    assert after(laws, 1e-4, -SLIDES, -2e-4, 0.01) == pytest.approx(3e-4, rel=1e-12)
+    assert after(laws, 1e-4, SLIDES, 2e-4, 0.01) == pytest.approx(3e-4, rel=1e-5)
+    assert after(laws, 1e-4, -SLIDES, -2e-4, 0.01) == pytest.approx(3e-4, rel=1e-5)
     assert after(laws, 3e-4, SLIDES, 2e-4, 0.01) == 4e-4
 
 
@@ -65,4 +65,16 @@ def test_how_finely_a_rest_is_divided_does_not_matter(laws, slip, rests, parts, 
 def test_what_lasts_an_instant_leaves_no_mark(laws, slip, way, duration, status):
     """However the friction turns: the slip changes by the way and the time that passed."""
     change = abs(after(laws, slip, status, way, duration) - slip)
-    assert change <= abs(way) + slip * duration / 0.2 + 1e-18
+    assert change <= (abs(way) + slip * duration / 0.2) * (1 + 1e-9) + 1e-18
+
+
+def test_slow_sliding_is_between_static_and_kinetic(laws):
+    """At a thousandth of the weakening distance in the healing time it heals half as fast."""
+    creep = 1e-3 * 4e-4 / 0.2
+    slip = 0.0
+    for _ in range(100):
+        slip = after(laws, slip, SLIDES, 0.1 * creep, 0.1)
+    assert slip == pytest.approx(2 * creep * 0.2, rel=1e-6)
+    for _ in range(100):
+        slip = after(laws, slip, SLIDES, 0.1 * 100 * creep, 0.1)
+    assert slip == 4e-4
