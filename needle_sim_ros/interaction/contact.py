@@ -31,8 +31,8 @@ _FORESIGHT = 0.98
 # how close to the cut a step has to come, of its advance: what the tip bears must not hang on it
 _CLOSE = 0.05
 _MOST_ROUNDS = 400
-# of a segment: just before the heading is taken; and how far a round cuts at least
-_MIDDLE, _LEAST_ROUND = 0.499, 0.25
+# of a segment: just before its middle, where the heading is taken; as close to it a round goes on
+_MIDDLE, _THERE = 0.499, 0.009
 # a cut foreseen too far is taken back by what the tip's compliance says and a part more, so
 # often; then by halves
 _BY_LACK, _MORE = 3, 1.3
@@ -235,15 +235,16 @@ class Contact:
         advance = step.advance
         heading = 0 if abs(advance) <= STILL else (1 if advance > 0 else -1)
         rate = state.rate if heading == state.heading else 0.0
-        depth, front = state.depth, state.front
+        track, depth, front = self._turned(state, step, heading > 0)
+        began, deepest = depth, front
         engaged = depth >= front
         if engaged and heading > 0:
             depth = front = front + self.foresight * rate * advance
         elif not engaged:
             depth = min(max(depth + rate * advance, 0.0), front)
-        track, moved, forces = state.track, state.moved, state.forces
+        moved, forces = state.moved, state.forces
         memory = FrictionMemory(state.slip, state.strain, state.slid, state.advance)
-        reached, missed = state.front, math.inf  # how far the tip cuts at least, and does not
+        reached, missed = deepest, math.inf  # how far the tip cuts at least, and does not
         nearly = _SETTLED * track.spacing
         if heading:
             nearly = min(nearly, max(_CLOSE * abs(advance), _NEAR * track.spacing))
@@ -260,6 +261,8 @@ class Contact:
             solves += solution.solves
             forces = solution.forces
             change = solution.overlap / step.after.cosine(track.direction(depth))
+            if engaged and heading > 0:
+                track = self._growth.cut(track, step, solution, depth)
             if engaged:
                 settled = abs(change) <= nearly
                 if change > 0:
@@ -267,7 +270,7 @@ class Contact:
                     front += min(change, _onward(front, track.spacing))
                     front = front if front < missed else 0.5 * (reached + missed)
                     depth = front
-                elif front > state.front and solution.status[-1] <= 0:
+                elif front > deepest and solution.status[-1] <= 0:
                     # foreseen too far: a tip that bears less than its limit has not cut
                     settled = (
                         front - reached <= _UNCUT * nearly or solution.lack <= _SLIGHT * nearly
@@ -299,15 +302,30 @@ class Contact:
             raise CommandError(
                 f"the needle's whole length, {self._scene.needle.length:g} m, would be inserted"
             )
-        went = (depth - state.depth) / advance if heading else 0.0
+        went = (depth - began) / advance if heading else 0.0
         if solves != solution.solves:
             solution = solution._replace(solves=solves)
         rate = min(max(went, 0.0), 1.0)
-        if engaged and heading > 0:
-            track = self._growth.cut(track, step, solution, depth)
         bearing = limit if engaged else self.laws.relaxed(state.bearing, step.duration)
         place = (track, False, True, depth, front, rate, heading, bearing)
         return ContactState(*place, *solution.in_state())
+
+    def _turned(
+        self, state: ContactState, step: Step, going_in: bool
+    ) -> tuple[Track, float, float]:
+        """Return the track, aimed if that is due, and depths of tip and front along it, m.
+
+        Both keep their places along the needle as the last segment turns.
+        """
+        assert state.track is not None
+        depth, front = state.depth, state.front
+        track = self._growth.turned(state.track, depth, going_in)
+        if track is state.track:
+            return track, depth, front
+        pose = step.before
+        apart = pose.reach(state.track.place(front)) - pose.reach(track.place(front))
+        shift = apart / pose.cosine(track.direction(front))
+        return track, depth + shift, front + shift
 
     def _drawn_out(self, track: Track, front: float, step: Step) -> ContactState:
         zero = np.zeros_like(track.points)
@@ -340,8 +358,8 @@ class Contact:
 def _onward(front: float, spacing: float) -> float:
     """Return how far a round may cut: to the middle of a segment, where it takes its heading."""
     passed = front / spacing
-    middle = math.floor(passed + 1 - _MIDDLE + 1e-6) + _MIDDLE
-    return spacing * max(middle - passed, _LEAST_ROUND)
+    middle = math.floor(passed + 1 - _MIDDLE + _THERE) + _MIDDLE
+    return spacing * (middle - passed)
 
 
 def _known(moved: Vector, forces: Vector, track: Track, step: Step) -> Vector:

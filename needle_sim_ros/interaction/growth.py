@@ -36,6 +36,8 @@ _EACH, _EACH_ASKED, _EACH_WEIGHED = 0.06, 0.03, 0.04
 _READ_BEYOND = 0.42
 # of a segment: as close before its middle is as good
 _NEARLY = 0.01
+# of a segment: as far beyond it has to be aimed within a step
+_LATE = 0.06
 
 
 class TrackGrowth:
@@ -98,20 +100,13 @@ class TrackGrowth:
             elif ahead.point is None:
                 heading = ahead.heading
                 if heading is None:
-                    if passed < AIMED:
+                    if passed < AIMED + _LATE:
                         return track
                     direction = self._cut(step, bent)
                     heading = self._pulled_back(step, track, direction, forces, ahead)
-                aimed = layer.aim(track, heading, self._foresight)
-                assert aimed.ahead is not None and aimed.ahead.point is not None
-                if not self._in_tissue(aimed.ahead.point):
-                    # there is room up to the last point; who holds or draws back may be a
-                    # little beyond it, and must always be able to draw back
-                    if passed < 1.0 or (not going_in and passed < 1.0 + _BEYOND):
-                        return track
-                    raise CommandError(
-                        f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m"
-                    )
+                aimed = self._aimed(track, heading, passed, going_in)
+                if aimed is None:
+                    return track
                 track = aimed
             elif ahead.footprint is None:
                 if passed < _SPREAD:
@@ -134,6 +129,26 @@ class TrackGrowth:
                 track = layer.extend(track)
             else:
                 return track
+
+    def turned(self, track: Track, depth: float, going_in: bool) -> Track:
+        """Return the track aimed, if it is known where to, or as it is."""
+        ahead = track.ahead
+        if ahead is None or ahead.heading is None or ahead.point is not None:
+            return track
+        passed = depth / track.spacing - (track.laid - 2)
+        return self._aimed(track, ahead.heading, passed, going_in) or track
+
+    def _aimed(self, track: Track, heading: Vector, passed: float, going_in: bool) -> Track | None:
+        """Aim the track; None where it cannot go on and need not."""
+        aimed = self._layer.aim(track, heading, self._foresight)
+        assert aimed.ahead is not None and aimed.ahead.point is not None
+        if self._in_tissue(aimed.ahead.point):
+            return aimed
+        # there is room up to the last point; who holds or draws back may be a
+        # little beyond it, and must always be able to draw back
+        if passed < 1.0 or (not going_in and passed < 1.0 + _BEYOND):
+            return None
+        raise CommandError(f"the tip would leave the tissue at {aimed.ahead.point.tolist()} m")
 
     def cut(self, track: Track, step: Step, solution: BalanceSolution, depth: float) -> Track:
         """Return the track with the direction of the cut, if a step ends where that is due.
