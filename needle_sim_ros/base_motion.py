@@ -30,7 +30,7 @@ _JUMP = 0.2
 # path in a step, in weakening distances, where points begin to slide; most steps for it
 _FINE, MOST_UNSTEADY = 0.06, 32
 # time in a step, in healing times, where points may be stuck
-_HEALED = 0.5
+_HEALED = 0.1
 _NO_TURN = np.zeros(3)
 
 

@@ -101,7 +101,8 @@ class CoupledStep:
         prediction = dynamics.predict(tissue, settling)
         far = way = 0.0
         if self._remembers:
-            far, way = (end - start) * route.advance, (end - start) * route.swept(self._length)
+            whole = (2 if settling else 1) * (end - start)  # of a time step
+            far, way = whole * route.advance, whole * route.swept(self._length)
             self._reach.check(contact, far, way)
             law, part = self._laws.laws.interaction.friction, end - start
             equal = parts_of_step(self._scene, law, contact, route, part, dt, settling)

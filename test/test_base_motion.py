@@ -85,6 +85,7 @@ def test_unsteady_steps_follow_the_slip_and_the_healing():
     slow = commanded(BaseCommand(velocity=[0, 0, -1e-3]), np.zeros(3), DOWN, 1.0)
     rest = commanded(BaseCommand(), np.zeros(3), DOWN, 1.0)
     assert unsteady_steps(slow, 1.0, 0.1, friction, 1) == MOST_UNSTEADY
-    assert unsteady_steps(rest, 1.0, 0.1, friction, 1) == 20
-    assert unsteady_steps(rest, 0.05, 0.1, friction, 1) == 1
+    assert unsteady_steps(rest, 0.2, 0.1, friction, 1) == 20
+    assert unsteady_steps(rest, 0.01, 0.1, friction, 1) == 1
+    assert unsteady_steps(rest, 0.05, 0.1, friction, 1) == 5
     assert unsteady_steps(rest, 0.05, 0.1, friction, 7) == 7

@@ -59,14 +59,14 @@ def test_a_slow_insertion_is_nearly_quasi_static(coarse_scene, drive):
 
 
 def test_the_tissue_comes_to_rest_in_a_hold(coarse_scene, drive):
-    """A stop from 50 mm/s: the markers still move at the next tick; 1.8 s later nothing moves
+    """A stop from 50 mm/s: the markers still move at the next tick; 0.8 s later nothing moves
     them but the tip's relaxation, which takes 1.5 s."""
     sim = Simulator(coarse_scene({**FULL, "solver.modes": 60, "solver.time_step": 2e-3}))
     drive(sim, 0.6, (0, 0, -50e-3), dt=2e-3)
-    hold = np.array([o.marker_displacements for o in drive(sim, 2.0, dt=2e-3)])
+    hold = np.array([o.marker_displacements for o in drive(sim, 1.0, dt=2e-3)])
     speeds = np.abs(np.diff(hold, axis=0)).max(axis=(1, 2))
-    assert speeds[:5].max() > 5 * speeds[-100:].max()
-    np.testing.assert_allclose(np.diff(np.log(speeds[-100:])).mean(), -2e-3 / 1.5, rtol=0.05)
+    assert speeds[:5].max() > 4 * speeds[-100:].max()
+    np.testing.assert_allclose(np.diff(np.log(speeds[-100:])).mean(), -2e-3 / 1.5, rtol=0.1)
 
 
 @pytest.mark.parametrize("modes", [0, 20])
@@ -95,9 +95,9 @@ def test_drawn_fast_out_of_a_dent(coarse_scene, drive, modes, speed):
 
 @pytest.mark.parametrize("dt", [0.01, 0.02])
 def test_what_a_retraction_leaves_behind_relaxes(coarse_scene, dt):
-    """Drawn out at 0.5 m/s: the tissue's motion dies out, the channel waits."""
+    """Drawn out at 0.15 m/s: the tissue's motion dies out, the channel waits."""
     sim = Simulator(coarse_scene({**FULL, "solver.modes": 20}))
-    for velocity, count in (((0, 0, -6e-3), 4.0), ((0, 0, 0.5), 0.2), ((0, 0, 0), 2.0)):
+    for velocity, count in (((0, 0, -6e-3), 4.0), ((0, 0, 0.15), 0.6), ((0, 0, 0), 2.0)):
         for _ in range(round(count / dt)):
             o = sim.step(BaseCommand(velocity=velocity), dt)
     assert o.process is Process.FREE

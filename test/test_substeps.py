@@ -100,7 +100,7 @@ def test_a_turn_sweeps_the_needle():
 
 
 def test_a_step_of_the_tissue_falls_in_parts(simulator):
-    """Of half a track spacing; of half the healing time while friction recovers."""
+    """Of half a track spacing; of a tenth of the healing time while friction recovers."""
     scene = simulator().scene
     law, contact = scene.interaction.friction, inserted(simulator())
 
@@ -113,13 +113,13 @@ def test_a_step_of_the_tissue_falls_in_parts(simulator):
     assert parts(1.0, 0.1, now=simulator().snapshot().contact) == 1
     whole = np.full_like(contact.slip, law.weakening_distance)
     sliding = contact._replace(slip=whole, status=np.ones_like(contact.status))
-    assert parts(0.1 * SPACING, 1.0, now=sliding) == 1
-    assert parts(0.0, 1.0, now=sliding) == parts(0.0, 1.0, jump=True, now=sliding) == 20
-    assert parts(0.0, 1.0, now=sliding._replace(slip=1e-4 * whole)) == 1
+    assert parts(0.1 * SPACING, 0.2, now=sliding) == 1
+    assert parts(0.0, 0.2, now=sliding) == parts(0.0, 0.2, jump=True, now=sliding) == 20
+    assert parts(0.0, 0.2, now=sliding._replace(slip=1e-4 * whole)) == 1
     half = sliding._replace(slip=0.5 * whole)
-    assert parts(0.1 * SPACING, 1.0, now=half) == 20
+    assert parts(0.1 * SPACING, 0.2, now=half) == 20
     stuck = sliding._replace(slip=0 * whole, status=np.zeros_like(contact.status))
-    assert parts(0.0, 1.0, now=stuck) == 20
+    assert parts(0.0, 0.2, now=stuck) == 20
 
 
 def test_free_displacement_starts_where_the_tissue_is(simulator):
