@@ -131,28 +131,28 @@ def static_steps(motion: BaseMotion, spacing: float) -> int:
     return max(half_spacings(motion.length, spacing), math.ceil(angle / _TURN))
 
 
-def unsteady_steps(
-    motion: BaseMotion, dt: float, length: float, friction: Friction, least: int
-) -> int:
-    """Return into how many steps a quasi-static tick falls in which points begin to slide.
+def fastest(rate: tuple[float, ...], length: float) -> float:
+    """Return the largest component of a rate, m/s; of turning, the speed at a length, m, counts."""
+    return max(max(abs(v) for v in rate[:3]), length * max(abs(w) for w in rate[3:]))
+
+
+def unsteady_steps(speed: float, dt: float, friction: Friction, least: int) -> int:
+    """Return into how many steps a tick falls in which points begin to slide.
 
     Where each of them does is known to a step only, and what follows depends on it; so it does
     on how far the friction of those that are stuck has recovered.
 
     Parameters
     ----------
-    motion : BaseMotion
+    speed : float
+        Of the base, m/s.
     dt : float
         s.
-    length : float
-        Of the needle, m.
     friction : Friction
     least : int
         Steps that it falls into anyway.
     """
-    fastest = max(abs(rate) for rate in motion.rate[:3])
-    fastest = max(fastest, length * max(abs(rate) for rate in motion.rate[3:]))
-    slid = fastest * dt / (_FINE * friction.weakening_distance)
+    slid = speed * dt / (_FINE * friction.weakening_distance)
     healed = dt / (_HEALED * friction.healing_time)
     return max(least, min(MOST_UNSTEADY, math.ceil(max(slid, healed) - 1e-9)))
 

@@ -195,7 +195,7 @@ class Simulator:
         motion = commanded(command, state.position, state.orientation, dt)
         check(self.scene, state.contact, state.pose, state.position, state.orientation, motion)
         here = Coupled(state.contact, state.tissue, state.pose)
-        route = Route(state.position, state.orientation, state.pose, motion)
+        route = Route(state.position, state.orientation, state.pose, motion, state.rate)
         steps, equal, unsettled = self._steps(state, route, dt)
         advance, parts = 0.0, 0
         for number in range(steps):

@@ -11,8 +11,10 @@ import math
 from typing import NamedTuple
 
 from needle_sim_ros.base_motion import (
+    AT_REST,
     MOST_UNSTEADY,
     BaseMotion,
+    fastest,
     half_spacings,
     part_way,
     static_steps,
@@ -51,6 +53,8 @@ class Route:
     pose : BasePose
         Before the tick.
     motion : BaseMotion
+    rate : tuple of float
+        Of the base in the tick before, as in BaseMotion.
 
     Attributes
     ----------
@@ -59,11 +63,17 @@ class Route:
         Of the way, m.
     """
 
-    __slots__ = ("_end", "_orientation", "_pose", "_position", "length", "motion")
+    __slots__ = ("_end", "_orientation", "_pose", "_position", "_rate", "length", "motion")
 
     def __init__(
-        self, position: Vector, orientation: Vector, pose: BasePose, motion: BaseMotion
+        self,
+        position: Vector,
+        orientation: Vector,
+        pose: BasePose,
+        motion: BaseMotion,
+        rate: tuple[float, ...] = AT_REST,
     ) -> None:
+        self._rate = rate
         self._position, self._orientation = position, orientation
         self._pose, self.motion = pose, motion
         self._end = self._posed(motion.position, motion.orientation)
@@ -77,6 +87,13 @@ class Route:
     def swept(self, length: float) -> float:
         """Return how far the base goes and a needle of some length swings at most, m."""
         return self.length + length * math.hypot(*self.motion.turning)
+
+    def fastest(self, length: float) -> float:
+        """Return the speed of a needle of some length, or that before where it was faster, m/s.
+
+        What the needle dragged along goes on as it did when the needle stops.
+        """
+        return max(fastest(self.motion.rate, length), fastest(self._rate, length))
 
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""
@@ -137,7 +154,7 @@ def _unsteady(
             heals &= slip < whole
         if not heals.any():
             return steps
-    return unsteady_steps(route.motion, share * dt, scene.needle.length, friction, steps)
+    return unsteady_steps(route.fastest(scene.needle.length), share * dt, friction, steps)
 
 
 class Reach(NamedTuple):

@@ -13,6 +13,7 @@ from needle_sim_ros.base_motion import (
     AT_REST,
     MOST_UNSTEADY,
     commanded,
+    fastest,
     jumps,
     part_way,
     static_steps,
@@ -82,10 +83,14 @@ def test_static_steps_are_short(advance):
 
 def test_unsteady_steps_follow_the_slip_and_the_healing():
     friction = Friction(weakening_distance=5e-4, healing_time=0.1)
-    slow = commanded(BaseCommand(velocity=[0, 0, -1e-3]), np.zeros(3), DOWN, 1.0)
-    rest = commanded(BaseCommand(), np.zeros(3), DOWN, 1.0)
-    assert unsteady_steps(slow, 1.0, 0.1, friction, 1) == MOST_UNSTEADY
-    assert unsteady_steps(rest, 0.2, 0.1, friction, 1) == 20
-    assert unsteady_steps(rest, 0.01, 0.1, friction, 1) == 1
-    assert unsteady_steps(rest, 0.05, 0.1, friction, 1) == 5
-    assert unsteady_steps(rest, 0.05, 0.1, friction, 7) == 7
+    assert unsteady_steps(1e-3, 1.0, friction, 1) == MOST_UNSTEADY
+    assert unsteady_steps(1e-3, 0.1, friction, 1) == 10
+    assert unsteady_steps(6e-3, 0.01, friction, 1) == 2
+    assert unsteady_steps(0.0, 0.01, friction, 1) == 1
+    assert unsteady_steps(0.0, 0.05, friction, 1) == 5
+    assert unsteady_steps(0.0, 0.05, friction, 7) == 7
+
+
+def test_the_fastest_of_base_and_needle():
+    assert fastest((1e-3, 0, -3e-3, 0, 0, 0), LENGTH) == 3e-3
+    assert fastest((1e-3, 0, -3e-3, 0, 0.1, 0), 0.13) == pytest.approx(0.013)

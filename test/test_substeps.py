@@ -99,6 +99,13 @@ def test_a_turn_sweeps_the_needle():
     assert route(velocity=(0.03, 0.0, -0.04)).swept(0.1) == pytest.approx(5e-3)
 
 
+def test_what_the_needle_dragged_goes_on_when_it_stops():
+    pose = BasePose.of(PLACE, DOWN, 2)
+    rest = commanded(BaseCommand(), PLACE, DOWN, 0.1)
+    assert Route(PLACE, DOWN, pose, rest, (0, 0, -0.05, 0, 0, 0)).fastest(0.1) == 0.05
+    assert Route(PLACE, DOWN, pose, rest).fastest(0.1) == 0.0
+
+
 def test_a_step_of_the_tissue_falls_in_parts(simulator):
     """Of half a track spacing; of a tenth of the healing time while friction recovers."""
     scene = simulator().scene

@@ -40,8 +40,8 @@ _BY_LACK, _MORE = 3, 1.3
 # how much it may have cut without the force that it takes
 _SLIGHT, _UNCUT = 0.05, 0.02
 # how far the tip may end from where a step took it to be, in track spacings: of a long step,
-# and of one however short
-_SETTLED, _NEAR = 0.02, 0.001
+# of a short one, and of one that is shorter than that
+_SETTLED, _NEAR, _NEAREST = 0.02, 0.001, 0.0001
 # of a step: as late as the surface is broken for sure
 _BROKEN = 1e-6
 
@@ -247,7 +247,8 @@ class Contact:
         reached, missed = deepest, math.inf  # how far the tip cuts at least, and does not
         nearly = _SETTLED * track.spacing
         if heading:
-            nearly = min(nearly, max(_CLOSE * abs(advance), _NEAR * track.spacing))
+            near = track.spacing * (_NEAR if abs(advance) > _NEAR * track.spacing else _NEAREST)
+            nearly = min(nearly, max(_CLOSE * abs(advance), near))
         status = state.status
         opened = not len(status)
         solves = tries = 0
