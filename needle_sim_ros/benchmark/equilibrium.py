@@ -7,13 +7,13 @@ compliances; the conditions of contact, beam and laws are written here a second 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from needle_sim_ros.geometry import Vector, rotation_matrix
+from needle_sim_ros.interaction.friction import creep
 from needle_sim_ros.interaction.spreading import coverage
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.needle.tip import bevel_length
@@ -175,9 +175,11 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     advance = float(pose.axial @ (pose.origin - before.pose.origin))
     # what slides goes on sliding as it did, what sticks rests
     ratio = advance / past.advance if advance * past.advance > 0 else 0.0
-    onward = np.where(past.status[:-1] * advance > 0, np.abs(past.slid) * ratio, 0.0)
-    rested = math.exp((before.time - state.time) / law.healing_time)
-    slip = np.where(past.status[:-1] == 0, past.slip * rested, past.slip) + onward
+    stuck, onward = past.status[:-1] == 0, past.status[:-1] * advance > 0
+    way = np.where(stuck, 0.0, np.abs(past.slid) * np.where(onward, ratio, 1.0))
+    passed = state.time - before.time
+    heals = passed / law.healing_time / (1.0 + way / (creep(law) * passed))
+    slip = past.slip * np.exp(-heals) - way * np.expm1(-heals) / heals
     fallen = np.clip(1.0 - slip / law.weakening_distance, 0.0, 1.0)
     limit = (track.kinetic[:n] + (track.static - track.kinetic)[:n] * fallen) * length
     presliding = contact.friction / (law.presliding_stiffness * np.maximum(length, 1e-300))

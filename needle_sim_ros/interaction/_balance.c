@@ -120,16 +120,22 @@ static void with_free(Problem *p)
         p->moved[i] += p->free[i];
 }
 
-/* friction.slip_after */
-static void slip_after(Problem *p, const signed char *status)
+/* friction.slip_after, of a point */
+static double slip_after(const Problem *p, double slip, int status, double slid)
 {
     double whole = p->numbers[WEAKENING], healing = p->numbers[DURATION] / p->numbers[HEALING];
-    for (int i = 0; i < p->n; i++) {
-        double way = status[i] != 0 ? fabs(p->rows[SLID * p->n + i]) : 0.0;
-        double heals = healing / (1.0 + way / (CREEP * whole * healing));
-        double left = p->slip[i] * exp(-heals) - way * expm1(-heals) / heals;
-        p->rows[SLIP * p->n + i] = fmin(left, whole);
-    }
+    double way = status != 0 ? fabs(slid) : 0.0;
+    double heals = healing / (1.0 + way / (CREEP * whole * healing));
+    if (slip >= whole && way >= whole * heals)
+        return whole;
+    return fmin(slip * exp(-heals) - way * expm1(-heals) / heals, whole);
+}
+
+static void remember(Problem *p, const signed char *status)
+{
+    double *rows = p->rows;
+    for (int i = 0; i < p->n; i++)
+        rows[SLIP * p->n + i] = slip_after(p, p->slip[i], status[i], rows[SLID * p->n + i]);
 }
 
 enum { /* what `slide` is given besides; no factor: nothing is tried */
@@ -192,18 +198,14 @@ static double set_up(Problem *p, const Guess *g)
         p->arclength[k] = h * k + (number[LENGTH] - depth);
     double advance = number[ADVANCE];
     double pace = advance * number[BEFORE] > 0 ? advance / number[BEFORE] : 0.0;
-    double rested = exp(-number[DURATION] / number[HEALING]);
     for (int i = 0; i < n; i++) {
         along[i] = dot(p->free + i * d, p->axial, d);
         rows[ELASTIC * n + i] =
             dot(g->moved + i * d, p->axial, d) - along[i] + advance + p->strain[i];
         rows[SOFT * n + i] = 1.0 / (number[PRESLIDING] * fmax(lengths[i], LEAST * h));
         /* friction.limits: what slides goes on, what sticks rests */
-        double slip = p->slip[i];
-        if (p->status[i] * advance > 0)
-            slip += fabs(g->slid[i]) * pace;
-        else if (p->status[i] == 0)
-            slip *= rested;
+        double onward = g->slid[i] * (p->status[i] * advance > 0 ? pace : 1.0);
+        double slip = slip_after(p, p->slip[i], p->status[i], onward);
         double left = fmax(1.0 - slip / number[WEAKENING], 0.0);
         rows[BOUND * n + i] = (left * (g->fixed[i] - g->kinetic[i]) + g->kinetic[i]) * lengths[i];
     }
@@ -326,7 +328,7 @@ static PyObject *slide(PyObject *module, PyObject *const *arguments, Py_ssize_t 
         holds = at_bounds(&p, &g, reach, work, (int *)((char *)work + room), &tip);
     }
     if (holds) {
-        slip_after(&p, p.status);
+        remember(&p, p.status);
         with_free(&p);
     }
     answered = Py_BuildValue("Oddddii", holds ? Py_True : Py_False, reach, tip.force, tip.overlap,
@@ -451,7 +453,7 @@ static PyObject *bounded(PyObject *module, PyObject *const *arguments, Py_ssize_
         rows[SLID * n + i] = rows[ELASTIC * n + i] - dot(p.moved + i * p.d, p.axial, p.d) -
                              rows[STRAIN * n + i];
     }
-    slip_after(&p, state);
+    remember(&p, state);
     with_free(&p);
     double softest = c.matrix[(size_t)size * size - 1];
     answered = Py_BuildValue("ddddi", tip, state[n] != 0 ? -c.gradient[size - 1] : 0.0,

@@ -172,8 +172,7 @@ class Balance:
         n = len(bounds) - 1
         length = coverage(depth, n, h)
         share = tip_share(length, depth, self._bevel, h)
-        rested = friction.rested(self.laws, step.duration)
-        start = FrictionStart.of(track, memory, bounds, step.advance, rested)
+        start = FrictionStart.of(track, memory, bounds, step.advance, step.duration)
         stiffness = self.laws.interaction.friction.presliding_stiffness
         presliding = np.maximum(length, LEAST * h)
         presliding *= stiffness
@@ -246,15 +245,9 @@ class Balance:
         hold: LateralHold | None,
         bounds: NDArray[np.int8],
     ) -> TrackForces:
-        if start.sliding and hold is not None:
-            limit = friction.sliding_limit(self.laws, start) * length
-            limit *= start.sliding
-            found = problem.sliding(hold, limit, bounds)
-            if found is not None:
-                return found
         high = friction.limits(self.laws, start) * length
         found = None
-        if not start.sliding and hold is not None:
+        if hold is not None:
             found = problem.sliding(hold, np.where(bounds[:-1] > 0, high, -high), bounds)
         return found or problem.bounded(-high, high, bounds)
 

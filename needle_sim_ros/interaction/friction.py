@@ -9,7 +9,6 @@ how finely time is divided.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -63,10 +62,8 @@ class FrictionStart(NamedTuple):
         In the step before, m.
     pace : float
         Of this step, in proportion to the one before.
-    rested : float
-        What is left of the slip of a point that rests for the step.
-    sliding : int
-        1 or -1 where all points are guessed to go on sliding as they do, else 0.
+    duration : float
+        Of this step, s.
     """
 
     static: Vector
@@ -77,13 +74,12 @@ class FrictionStart(NamedTuple):
     advance: float
     slid: Vector
     pace: float
-    rested: float
-    sliding: int
+    duration: float
 
     @property
     def onward(self) -> Vector:
-        """Slip to be expected in the step where a point goes on sliding, m, shape (n,)."""
-        return np.abs(self.slid) * self.pace
+        """Slip to be expected in the step where a point goes on as it did, m, shape (n,)."""
+        return self.slid * np.where(self.status * self.advance > 0, self.pace, 1.0)
 
     @classmethod
     def of(
@@ -92,19 +88,16 @@ class FrictionStart(NamedTuple):
         memory: FrictionMemory,
         status: NDArray[np.int8],
         advance: float,
-        rested: float,
+        duration: float,
     ) -> FrictionStart:
         """Fit what was before to a step; `status` has one entry more, the tip's."""
         n = len(status) - 1
         slip, strain, slid = (fitted(values, n) for values in memory[:3])
         before = memory.advance
         pace = advance / before if advance * before > 0 else 0.0
-        sliding = _one_way(status)
-        if advance * sliding <= 0 or _least(strain, sliding) <= 0:
-            sliding = 0
         static, kinetic = track.static[:n], track.kinetic[:n]
         bounds = status[:-1]
-        return cls(static, kinetic, slip, strain, bounds, advance, slid, pace, rested, sliding)
+        return cls(static, kinetic, slip, strain, bounds, advance, slid, pace, duration)
 
 
 def limits(laws: Laws, start: FrictionStart) -> Vector:
@@ -112,27 +105,13 @@ def limits(laws: Laws, start: FrictionStart) -> Vector:
 
     What slides goes on sliding as fast against the needle as it did, what sticks rests.
     """
-    going_on = start.status * start.advance > 0
-    slip = np.where(start.status == 0, start.slip * start.rested, start.slip)
-    slip += np.where(going_on, start.onward, 0.0)
+    slip = slip_after(laws, start.slip, start.status, start.onward, start.duration)
     return laws.friction(start.static, start.kinetic, slip)
-
-
-def sliding_limit(laws: Laws, start: FrictionStart) -> Vector:
-    """Return the limits of points that all go on sliding as they do, N/m, shape (n,)."""
-    if float(start.slip.min()) >= laws.interaction.friction.weakening_distance:
-        return start.kinetic
-    return laws.friction(start.static, start.kinetic, start.slip + start.onward)
 
 
 def creep(friction: Friction) -> float:
     """Return the speed at which a point that slides heals half as fast as one at rest, m/s."""
     return _CREEP * friction.weakening_distance / friction.healing_time
-
-
-def rested(laws: Laws, duration: float) -> float:
-    """Return what part of the slip is left after a rest, s."""
-    return math.exp(-duration / laws.interaction.friction.healing_time)
 
 
 def slip_after(
@@ -172,19 +151,6 @@ def guess(status: NDArray[np.int8], n: int) -> NDArray[np.int8]:
         last = friction[-1] if len(friction) else 0
         friction = np.append(friction, np.full(n - len(friction), last, dtype=np.int8))
     return np.concatenate([friction[:n], tip])
-
-
-def _one_way(status: NDArray[np.int8]) -> int:
-    """Return the bound, 1 or -1, where it is the same of all; else 0."""
-    first = int(status[0])
-    if first != 0 and status.tobytes().count(status[:1].tobytes()) == len(status):
-        return first
-    return 0
-
-
-def _least(values: Vector, sign: int) -> float:
-    """Return the least of values times 1 or -1."""
-    return float(values.min()) if sign > 0 else -float(values.max())
 
 
 def fitted(values: Vector, n: int) -> Vector:
