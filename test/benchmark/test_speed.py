@@ -18,9 +18,9 @@ SMALL = {
     "tissue.mesh.spacing_along": 4e-3,
     "solver.track_spacing": 4e-3,
     "protocol": [
-        {"duration": 0.8, "velocity": [0.0, 0.0, -0.03]},
-        {"duration": 0.2},
-        {"duration": 0.4, "velocity": [0.0, 0.0, 0.03]},
+        {"duration": 1.6, "velocity": [0.0, 0.0, -0.015]},
+        {"duration": 0.4},
+        {"duration": 0.8, "velocity": [0.0, 0.0, 0.015]},
     ],
 }
 
@@ -51,8 +51,8 @@ def test_figures_have_the_names_that_others_read(measured):
 def test_every_run_makes_every_tick(measured):
     result, seen = measured
     ticks = [row for row in result.table if "run" in row]
-    assert {row["ticks"] for row in ticks} == {140}
-    assert seen[-1] == (140, 140)
+    assert {row["ticks"] for row in ticks} == {280}
+    assert seen[-1] == (280, 280)
     assert sorted(seen) == seen and len(seen) > 10
     own = [row for row in ticks if "the scene's own" in row["run"]]
     assert len(own) == 1
@@ -71,7 +71,7 @@ def test_quick_goes_as_deep_in_an_eighth_of_the_ticks():
     changes = {**SMALL, "solver.dynamics": "quasi_static"}
     seen = []
     result = speed(Scene.load("gao2016", changes), quick=True, progress=lambda *w: seen.append(w))
-    assert seen[-1] == (16, 16)
+    assert seen[-1] == (32, 32)
     own = next(row for row in result.table if "the scene's own" in row.get("run", ""))
     assert own["run"].startswith("quasi_static")
     assert own["median_inserted_ms"] > 0
