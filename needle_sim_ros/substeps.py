@@ -147,14 +147,14 @@ def _unsteady(
     steps: int,
 ) -> int:
     """Return into how many parts the time falls in which friction changes, or as many as given."""
-    if not jump and contact.status[:-1].all():
-        whole, slip = friction.weakening_distance, contact.slip
-        heals = slip > _HEALED_OFF * whole
-        if abs(route.advance) > creep(friction) * dt:
-            heals &= slip < whole
-        if not heals.any():
-            return steps
-    return unsteady_steps(route.fastest(scene.needle.length), share * dt, friction, steps)
+    finer = unsteady_steps(route.fastest(scene.needle.length), share * dt, friction, steps)
+    if finer == steps or jump or not contact.status[:-1].all():
+        return finer
+    whole, slip = friction.weakening_distance, contact.slip
+    heals = slip > _HEALED_OFF * whole
+    if abs(route.advance) > creep(friction) * dt:
+        heals &= slip < whole
+    return finer if heals.any() else steps
 
 
 class Reach(NamedTuple):
