@@ -133,7 +133,8 @@ def static_steps(motion: BaseMotion, spacing: float) -> int:
 
 def fastest(rate: tuple[float, ...], length: float) -> float:
     """Return the largest component of a rate, m/s; of turning, the speed at a length, m, counts."""
-    return max(max(abs(v) for v in rate[:3]), length * max(abs(w) for w in rate[3:]))
+    x, y, z, u, v, w = rate
+    return max(abs(x), abs(y), abs(z), length * max(abs(u), abs(v), abs(w)))
 
 
 def unsteady_steps(speed: float, dt: float, friction: Friction, least: int) -> int:

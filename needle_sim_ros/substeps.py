@@ -93,7 +93,8 @@ class Route:
 
         What the needle dragged along goes on as it did when the needle stops.
         """
-        return max(fastest(self.motion.rate, length), fastest(self._rate, length))
+        rate, now = self.motion.rate, fastest(self.motion.rate, length)
+        return now if rate == self._rate else max(now, fastest(self._rate, length))
 
     def at(self, share: float) -> BasePose:
         """Return the pose after a part of the tick."""
