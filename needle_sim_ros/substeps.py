@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from needle_sim_ros.base_motion import (
     AT_REST,
-    MOST_UNSTEADY,
     BaseMotion,
     fastest,
     half_spacings,
@@ -132,7 +131,7 @@ def equal_parts(
     if not (contact.inserted or contact.touching) and motion.rate[2] > 0:
         return 1
     steps = static_steps(motion, scene.solver.track_spacing)
-    if contact.inserted and steps < MOST_UNSTEADY:
+    if contact.inserted:
         return _unsteady(scene, scene.interaction.friction, contact, route, 1.0, dt, jump, steps)
     return steps
 
@@ -237,8 +236,6 @@ def parts_of_step(
     if not contact.inserted:
         return 1
     steps = half_spacings(share * route.length, scene.solver.track_spacing)
-    if steps >= MOST_UNSTEADY:
-        return steps
     return _unsteady(scene, friction, contact, route, share, dt, jump, steps)
 
 
