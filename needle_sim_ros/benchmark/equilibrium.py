@@ -146,7 +146,8 @@ def _lateral(simulator: Simulator, state: Snapshot, sampled: Vector) -> float:
     grip = scene.tissue.youngs_modulus * h * width
     behind = scene.needle.length - s
     soft = np.zeros(held)
-    soft[1:] = np.maximum(bevel / behind[1:] - 1.0, 0.0) / grip
+    part = np.minimum(behind[1:] / bevel, 1.0)
+    soft[1:] = (1.0 - part) ** 2 / (part * grip)
     given = -soft[:, None] * contact.lateral.T
     aside = pose.aside(points + sampled[:held])
     scale = max(float(np.abs(pose.aside(points)).max()), float(np.abs(sampled).max()), _LEAST_GAP)
@@ -173,11 +174,12 @@ def _friction(simulator: Simulator, state: Snapshot, before: Snapshot | None) ->
     law = scene.interaction.friction
     pose = state.pose
     advance = float(pose.axial @ (pose.origin - before.pose.origin))
+    passed = state.time - before.time
     # what slides goes on sliding as it did, what sticks rests
     ratio = advance / past.advance if advance * past.advance > 0 else 0.0
+    longer = passed / past.lasted
     stuck, onward = past.status[:-1] == 0, past.status[:-1] * advance > 0
-    way = np.where(stuck, 0.0, np.abs(past.slid) * np.where(onward, ratio, 1.0))
-    passed = state.time - before.time
+    way = np.where(stuck, 0.0, np.abs(past.slid) * np.where(onward, ratio, longer))
     heals = passed / law.healing_time / (1.0 + way / (creep(law) * passed))
     slip = past.slip * np.exp(-heals) - way * np.expm1(-heals) / heals
     fallen = np.clip(1.0 - slip / law.weakening_distance, 0.0, 1.0)

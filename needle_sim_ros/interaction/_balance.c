@@ -18,7 +18,7 @@
 
 /* Numbers of a step, in this order. */
 enum {
-    DEPTH, ADVANCE, BEFORE, DURATION, LIMIT, REACH, SPACING, BEVEL, LENGTH, RIGIDITY, GRIP,
+    DEPTH, ADVANCE, PACE, LAPSE, DURATION, LIMIT, REACH, SPACING, BEVEL, LENGTH, RIGIDITY, GRIP,
     TIP_SOFTNESS, PRESLIDING, WEAKENING, HEALING, TOLERANCE, NUMBERS
 };
 
@@ -197,14 +197,13 @@ static double set_up(Problem *p, const Guess *g)
     for (int k = 0; k < p->held; k++)
         p->arclength[k] = h * k + (number[LENGTH] - depth);
     double advance = number[ADVANCE];
-    double pace = advance * number[BEFORE] > 0 ? advance / number[BEFORE] : 0.0;
     for (int i = 0; i < n; i++) {
         along[i] = dot(p->free + i * d, p->axial, d);
         rows[ELASTIC * n + i] =
             dot(g->moved + i * d, p->axial, d) - along[i] + advance + p->strain[i];
         rows[SOFT * n + i] = 1.0 / (number[PRESLIDING] * fmax(lengths[i], LEAST * h));
         /* friction.limits: what slides goes on, what sticks rests */
-        double onward = g->slid[i] * (p->status[i] * advance > 0 ? pace : 1.0);
+        double onward = g->slid[i] * number[p->status[i] * advance > 0 ? PACE : LAPSE];
         double slip = slip_after(p, p->slip[i], p->status[i], onward);
         double left = fmax(1.0 - slip / number[WEAKENING], 0.0);
         rows[BOUND * n + i] = (left * (g->fixed[i] - g->kinetic[i]) + g->kinetic[i]) * lengths[i];
@@ -260,6 +259,12 @@ static double softest(const Problem *p)
     return sum;
 }
 
+/* SlidingProblem._lack */
+static double lack(const Problem *p, double tip, double softest, double overlap)
+{
+    return fmax(0.0, p->numbers[LIMIT] - tip) * softest - overlap;
+}
+
 /* SlidingProblem.sliding: 1 if the guessed bounds of the friction hold, 0 if not. */
 static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int *pivots, Tip *tip)
 {
@@ -290,11 +295,12 @@ static int at_bounds(Problem *p, const Guess *g, double reach, double *work, int
             if (!(fabs(tip->overlap) <= allowed))
                 return 0;
             tip->overlap = 0.0;
-            tip->lack = fmax(0.0, limit - tip->force) * softest(p);
         }
     }
     if (isnan(tip->overlap))
         return 0;
+    if (tip->state <= 0 && limit > 0.0)
+        tip->lack = lack(p, tip->force, softest(p), tip->overlap);
     for (int i = 0; i < n; i++)
         if (!(rows[SLID * n + i] * p->status[i] >= -allowed))
             return 0;
@@ -455,10 +461,10 @@ static PyObject *bounded(PyObject *module, PyObject *const *arguments, Py_ssize_
     }
     remember(&p, state);
     with_free(&p);
-    double softest = c.matrix[(size_t)size * size - 1];
-    answered = Py_BuildValue("ddddi", tip, state[n] != 0 ? -c.gradient[size - 1] : 0.0,
-                             state[n] == 0 ? fmax(0.0, p.numbers[LIMIT] - tip) * softest : 0.0,
-                             loose / scale, solves);
+    double overlap = state[n] != 0 ? -c.gradient[size - 1] : 0.0;
+    double back = lack(&p, tip, c.matrix[(size_t)size * size - 1], overlap);
+    answered = Py_BuildValue("ddddi", tip, overlap, state[n] <= 0 ? back : 0.0, loose / scale,
+                             solves);
 end:
     PyMem_Free(work);
     release(&all);

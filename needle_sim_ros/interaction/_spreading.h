@@ -66,7 +66,7 @@ static void hold_softness(double depth, int held, double bevel, double spacing, 
     int last = held - 1;
     double behind = depth - last * spacing;
     for (; last > 0 && behind < bevel; last--, behind += spacing)
-        softness[last] = (bevel / behind - 1.0) / (grip * spacing);
+        softness[last] = (bevel / behind + behind / bevel - 2.0) / (grip * spacing);
 }
 
 #endif

@@ -117,6 +117,7 @@ class Balance:
             slip=np.zeros(1),
             slid=np.zeros(1),
             advance=0.0,
+            lasted=0.0,
             moved=free + track.table.displacement(forces),
             forces=forces,
             status=np.zeros(0, dtype=np.int8),
@@ -218,6 +219,7 @@ class Balance:
             slip=slipped,
             slid=found.slid,
             advance=step.advance,
+            lasted=step.duration,
             moved=after,
             forces=forces,
             status=found.status,
@@ -281,6 +283,6 @@ class Balance:
         last = held - 1
         behind = depth - last * spacing  # the tip is so far beyond a point
         while last > 0 and behind < bevel:
-            soft[last] = (bevel / behind - 1.0) / (self._grip * spacing)
+            soft[last] = (bevel / behind + behind / bevel - 2.0) / (self._grip * spacing)
             last, behind = last - 1, behind + spacing
         return soft

@@ -23,7 +23,7 @@ except ImportError:  # built without a compiler, or run from the source
 # rows of what the compiled code writes for each point, and how many there are
 _FRICTION, _SHARE, _STRAIN, _SLIP, _SLID, _ROWS = 0, 1, 2, 3, 4, 11
 _NO_HOLD = (None,) * 7
-_REACH = 5  # number of the step's number that the first part makes out
+_REACH = 6  # number of the step's number that the first part makes out
 
 
 def available() -> bool:
@@ -62,7 +62,8 @@ class CompiledBalance:
         numbers = (
             depth,
             step.advance,
-            memory.advance,
+            memory.pace(step.advance),
+            memory.lapse(step.duration),
             step.duration,
             limit,
             reach,
@@ -135,6 +136,7 @@ class CompiledBalance:
             rows[_SLIP],
             rows[_SLID],
             step.advance,
+            step.duration,
             after,
             forces,
             status,

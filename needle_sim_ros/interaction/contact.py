@@ -27,9 +27,9 @@ from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
-_FORESIGHT = 0.98
+_FORESIGHT = 0.995
 # how close to the cut a step has to come, of its advance: what the tip bears must not hang on it
-_CLOSE = 0.05
+_CLOSE = 0.01
 _MOST_ROUNDS = 400
 # of a segment: just before its middle, where the heading is taken; as close to it a round goes on
 _MIDDLE, _THERE = 0.499, 0.009
@@ -243,7 +243,9 @@ class Contact:
         elif not engaged:
             depth = min(max(depth + rate * advance, 0.0), front)
         moved, forces = state.moved, state.forces
-        memory = FrictionMemory(state.slip, state.strain, state.slid, state.advance)
+        memory = FrictionMemory(
+            state.slip, state.strain, state.slid, state.advance, state.lasted
+        )
         reached, missed = deepest, math.inf  # how far the tip cuts at least, and does not
         nearly = _SETTLED * track.spacing
         if heading:
@@ -294,7 +296,9 @@ class Contact:
             depth = max(depth, 0.0)
             if settled and opened and heading > 0:
                 # what slipped far as the tip snapped in rubs with what is left then
-                memory = FrictionMemory(state.slip, state.strain, solution.slid, advance)
+                memory = memory._replace(
+                    slid=solution.slid, advance=advance, lasted=step.duration
+                )
                 status, opened = solution.status, False
             elif settled:
                 break

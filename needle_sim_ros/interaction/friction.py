@@ -34,12 +34,23 @@ class FrictionMemory(NamedTuple):
         Slip that counts, elastic presliding, slip in the step, m.
     advance : float
         Of the needle in the step, m.
+    lasted : float
+        Duration of the step, s.
     """
 
     slip: Vector
     strain: Vector
     slid: Vector
     advance: float
+    lasted: float
+
+    def pace(self, advance: float) -> float:
+        """Return an advance in proportion to the one remembered; 0 where it is another way."""
+        return advance / self.advance if advance * self.advance > 0 else 0.0
+
+    def lapse(self, duration: float) -> float:
+        """Return a duration in proportion to the one remembered."""
+        return duration / self.lasted if self.lasted > 0 else 1.0
 
 
 class FrictionStart(NamedTuple):
@@ -60,8 +71,8 @@ class FrictionStart(NamedTuple):
         Of the needle in the step, m.
     slid : ndarray, shape (n,)
         In the step before, m.
-    pace : float
-        Of this step, in proportion to the one before.
+    pace, lapse : float
+        Advance and duration of this step, in proportion to the one before.
     duration : float
         Of this step, s.
     """
@@ -74,12 +85,16 @@ class FrictionStart(NamedTuple):
     advance: float
     slid: Vector
     pace: float
+    lapse: float
     duration: float
 
     @property
     def onward(self) -> Vector:
-        """Slip to be expected in the step where a point goes on as it did, m, shape (n,)."""
-        return self.slid * np.where(self.status * self.advance > 0, self.pace, 1.0)
+        """Slip to be expected in the step where a point goes on as it did, m, shape (n,).
+
+        What the needle drags along goes on as it does, all else as time passes.
+        """
+        return self.slid * np.where(self.status * self.advance > 0, self.pace, self.lapse)
 
     @classmethod
     def of(
@@ -93,11 +108,10 @@ class FrictionStart(NamedTuple):
         """Fit what was before to a step; `status` has one entry more, the tip's."""
         n = len(status) - 1
         slip, strain, slid = (fitted(values, n) for values in memory[:3])
-        before = memory.advance
-        pace = advance / before if advance * before > 0 else 0.0
+        pace, lapse = memory.pace(advance), memory.lapse(duration)
         static, kinetic = track.static[:n], track.kinetic[:n]
         bounds = status[:-1]
-        return cls(static, kinetic, slip, strain, bounds, advance, slid, pace, duration)
+        return cls(static, kinetic, slip, strain, bounds, advance, slid, pace, lapse, duration)
 
 
 def limits(laws: Laws, start: FrictionStart) -> Vector:

@@ -98,10 +98,10 @@ class TrackGrowth:
                     return track
                 track = layer.read_beyond_mesh(track, self._bevel)
             elif ahead.point is None:
+                if passed < AIMED + _LATE:
+                    return track
                 heading = ahead.heading
                 if heading is None:
-                    if passed < AIMED + _LATE:
-                        return track
                     direction = self._cut(step, bent)
                     heading = self._pulled_back(step, track, direction, forces, ahead)
                 aimed = self._aimed(track, heading, passed, going_in)

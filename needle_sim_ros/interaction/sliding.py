@@ -37,8 +37,8 @@ class TrackForces(NamedTuple):
     overlap : float
         How far the tip wants beyond the end of the track, m; 0 where its force is free.
     lack : float
-        Where it is free: how far back it would be at its limit, by the compliance at the
-        tip alone, m.
+        How far back a tip that bears less than its limit would bear it, by the compliance at
+        the tip alone, m.
     residual : float
         Largest violation of equilibrium, relative to the largest gap.
     """
@@ -141,12 +141,18 @@ class SlidingProblem:
             status = status.copy()
             status[-1] = state
         found = found._replace(status=status, solves=solves)
-        if state != 0:
+        if state == 0:
+            found = found._replace(overlap=0.0)
+        if state > 0 or self.tip_bound == 0:
             return found
         m, n = len(self.pose.lateral), len(friction)
         pressed = self._component(m, m, n, n)
         softest = float(self.share @ pressed @ self.share) + self.tip_softness
-        return found._replace(overlap=0.0, lack=max(0.0, self.tip_bound - found.tip) * softest)
+        return found._replace(lack=self._lack(found.tip, softest, found.overlap))
+
+    def _lack(self, tip: float, softest: float, overlap: float) -> float:
+        """Return how far back a tip would bear its limit; one without force is off it besides."""
+        return max(0.0, self.tip_bound - tip) * softest - overlap
 
     def _pushed(self, hold: LateralHold, friction: Vector, tip: float) -> TrackForces:
         """Return what friction and a tip force come to; whether they may be is not looked at."""
@@ -235,5 +241,5 @@ class SlidingProblem:
             overlap,
             float(np.abs(loose).max(initial=0.0)) / scale,
             found.iterations,
-            max(0.0, self.tip_bound - tip) * float(matrix[-1, -1]) if state[-1] == 0 else 0.0,
+            self._lack(tip, float(matrix[-1, -1]), overlap) if state[-1] <= 0 else 0.0,
         )

@@ -33,6 +33,7 @@ class BalanceSolution(NamedTuple):
     slip: Vector
     slid: Vector
     advance: float
+    lasted: float
     moved: Vector
     forces: Vector
     status: NDArray[np.int8]

@@ -65,6 +65,8 @@ class ContactState(NamedTuple):
         Slip in the step, m.
     advance : float
         Of the base along the needle in the step, m.
+    lasted : float
+        Duration of the step, s.
     moved : ndarray, shape (n, d)
         Displacement of every track point, m.
     forces : ndarray, shape (n, d)
@@ -96,6 +98,7 @@ class ContactState(NamedTuple):
     slip: Vector = _NONE
     slid: Vector = _NONE
     advance: float = 0.0
+    lasted: float = 0.0
     moved: Vector = np.empty((0, 2))
     forces: Vector = np.empty((0, 2))
     status: NDArray[np.int8] = np.empty(0, dtype=np.int8)
