@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needle_sim_ros.base_motion import AT_REST, check, commanded, jumps
 from needle_sim_ros.command import BaseCommand
-from needle_sim_ros.coupled_step import Coupled, CoupledStep
 from needle_sim_ros.errors import CommandError, SceneError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact
@@ -26,7 +24,10 @@ from needle_sim_ros.interaction.track import TrackLayer
 from needle_sim_ros.observation import Observation
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.statistics import Statistics
-from needle_sim_ros.substeps import Route, caught, equal_parts
+from needle_sim_ros.tick.base_motion import AT_REST, check, commanded, jumps
+from needle_sim_ros.tick.coupled_step import Coupled, CoupledStep
+from needle_sim_ros.tick.division import Division, caught
+from needle_sim_ros.tick.route import Route
 from needle_sim_ros.tissue.build import BuiltTissue, build_tissue, fixed_parts, plane_points
 from needle_sim_ros.tissue.near_field import NearField, disc_radius
 from needle_sim_ros.tissue.response import ResponseTable
@@ -91,11 +92,9 @@ class Simulator:
         self._contact_laws = Contact(scene, layer, laws)
         solver = scene.solver
         self._own_step = solver.time_step if solver.dynamics == "newmark" else None
+        self._division = Division(scene, self._contact_laws)
         self._stepper = CoupledStep(
-            self._dynamics,
-            self._contact_laws,
-            empty,
-            scene,
+            self._dynamics, self._contact_laws, empty, self._division, scene
         )
         self._start = self._initial()
         self._state = self._start
@@ -195,8 +194,8 @@ class Simulator:
         motion = commanded(command, state.position, state.orientation, dt)
         check(self.scene, state.contact, state.pose, state.position, state.orientation, motion)
         here = Coupled(state.contact, state.tissue, state.pose)
-        route = Route(state.position, state.orientation, state.pose, motion, state.rate)
-        steps, equal, unsettled = self._steps(state, route, dt)
+        route = Route(state.position, state.orientation, state.pose, motion, dt, state.rate)
+        steps, equal, unsettled = self._steps(state, route)
         advance, parts = 0.0, 0
         for number in range(steps):
             was = here.contact
@@ -208,7 +207,7 @@ class Simulator:
             halves = 2 if settling else 1
             for half in range(number * halves, (number + 1) * halves):
                 span = half / (halves * steps), (half + 1) / (halves * steps)
-                here, moved, count = self._stepper.carry_out(here, route, span, dt, equal, settling)
+                here, moved, count = self._stepper.carry_out(here, route, span, equal, settling)
                 advance += moved
                 parts += count
             unsettled = max(unsettled - 1, self._altered(was, here.contact))
@@ -253,7 +252,7 @@ class Simulator:
                 )
         return dt
 
-    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, int]:
+    def _steps(self, state: Snapshot, route: Route) -> tuple[int, int, int]:
         """Return time steps of a tick, equal parts of each, and how many have to settle.
 
         The parts are 0 where each step decides for itself.
@@ -262,9 +261,9 @@ class Simulator:
         jump = jumps(rate, state.rate, self.scene.needle.length)
         if self._own_step is None:
             jump = jump or state.unsettled > 0
-            return 1, equal_parts(self.scene, contact, route, jump, dt), 0
+            return 1, self._division.of_tick(contact, route, jump), 0
         unsettled = max(state.unsettled, jump) if contact.inserted or contact.touching else 0
-        return round(dt / self._own_step), 0, unsettled
+        return round(route.duration / self._own_step), 0, unsettled
 
     # --------------------------------------------------------------------- observing
     def observe(self) -> Observation:

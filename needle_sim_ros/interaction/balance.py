@@ -24,7 +24,6 @@ from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
 from needle_sim_ros.interaction.lateral_hold import LateralHold
 from needle_sim_ros.interaction.laws import Laws
-from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.spreading import LEAST, coverage, tip_share
@@ -85,14 +84,15 @@ class Balance:
             return np.zeros(len(lateral))
         return np.asarray(-(lateral @ beam.tip_slope_flexibility(arclength, self._rigidity)))
 
-    def touch(self, track: Track, pose: BasePose, free: Vector, limit: float) -> BalanceSolution:
+    def touch(self, track: Track, step: Step, limit: float) -> BalanceSolution:
         """Balance the tip on the unbroken surface: state 3 of Fig. 5 (Eqs. 9 to 11).
 
         The tip keeps to the point of the surface that it met, so the deflection of an
         inclined needle follows from the same equilibrium (Eqs. 13 and 14).
         """
+        pose, free = step.after, step.free(track.table)
         m = len(pose.lateral)
-        between = track.table.between(1)
+        between = step.yielding * track.table.between(1)
         axes = np.vstack([pose.lateral, pose.axial])
         matrix = axes @ between @ axes.T
         bend = beam.flexibility(self._tip_at, self._tip_at, self._rigidity)[0, 0]
@@ -118,7 +118,7 @@ class Balance:
             slid=np.zeros(1),
             advance=0.0,
             lasted=0.0,
-            moved=free + track.table.displacement(forces),
+            moved=free + track.table.displacement(step.yielding * forces),
             forces=forces,
             status=np.zeros(0, dtype=np.int8),
             solves=found.iterations,
@@ -158,9 +158,12 @@ class Balance:
         bounds = friction.guess(status, last + 2)  # rows: the points passed and the one ahead
         held = max(1, last + (depth - h * last > LEAST * h))
         stuck = 0 in bounds[:-1].tobytes()
-        hold = None if stuck else self._hold_of(track.table, step, depth, held)
+        hold, free = None, step.free(track.table)
+        if step.yielding != 1.0:
+            track = track._replace(table=track.table.yielding(step.yielding))
+        elif not stuck:
+            hold = self._hold_of(track.table, step, depth, held)
         reach = self._length + track.dent - step.after.reach(track.place(depth))
-        free = step.free(track.table)
         task = InsertedTask(
             track, step, free, moved, memory, bounds, depth, held, hold, reach, limit
         )

@@ -62,17 +62,39 @@ class Step:
         forces, (n, d).
     sample : callable
         Displacement (d,) of a footprint, by its reading, under forces on the rows of a table.
+    yielding : float
+        Part of the compliance of the rows that forces at the end of the step meet.
+    fallen : float
+        Part of its fall since the surface broke, that counts of what the tip bears.
     advance : float
         How far the base moves along the needle, m.
     turning : bool
         Whether the base turns.
     """
 
-    __slots__ = ("advance", "after", "before", "duration", "free", "sample", "turning")
+    __slots__ = (
+        "advance",
+        "after",
+        "before",
+        "duration",
+        "fallen",
+        "free",
+        "sample",
+        "turning",
+        "yielding",
+    )
 
     def __init__(
-        self, before: BasePose, after: BasePose, duration: float, free: FreeRows, sample: Sampler
+        self,
+        before: BasePose,
+        after: BasePose,
+        duration: float,
+        free: FreeRows,
+        sample: Sampler,
+        yielding: float = 1.0,
+        fallen: float = 1.0,
     ) -> None:
+        self.yielding, self.fallen = yielding, fallen
         self.before, self.after, self.duration = before, after, duration
         self.free, self.sample = free, sample
         self.advance = -after.ahead(before)
@@ -199,7 +221,7 @@ class Contact:
         """Contact of the tip with the unbroken surface (Eqs. 9 to 14)."""
         assert state.track is not None
         limit = self.laws.at(state.track.points[0]).puncture
-        solution = self._balance.touch(state.track, step.after, step.free(state.track.table), limit)
+        solution = self._balance.touch(state.track, step, limit)
         if solution.tip <= 0 and solution.overlap <= 0:
             return self._released(state._replace(front=0.0), step)
         if solution.overlap <= 0:
@@ -213,20 +235,19 @@ class Contact:
         moved = _known(state.moved, forces, track, step)
         return self.at_rest()._replace(track=track, inserted=True, moved=moved, forces=forces)
 
-    def breaking(self, state: ContactState, step: Step) -> float | None:
+    def breaking(self, state: ContactState, step: Step) -> tuple[float, Vector] | None:
         """Return after what part of a step the surface that the tip presses on breaks.
 
-        The tip force rises evenly as base and tissue move. None where it does not break, or at
-        the step's very end.
+        And the forces (1, d) at the step's end if it did not, N: they rise evenly as base and
+        tissue move. None where it does not break, or at the step's very end.
         """
         assert state.track is not None
         limit = self.laws.at(state.track.points[0]).puncture
-        rows = step.free(state.track.table)
-        pressed = self._balance.touch(state.track, step.after, rows, math.inf).tip
-        if pressed <= limit:
+        pressed = self._balance.touch(state.track, step, math.inf)
+        if pressed.tip <= limit:
             return None
-        share = (limit - state.tip) / (pressed - state.tip) + _BROKEN
-        return share if 0.0 < share < 1.0 - _BROKEN else None
+        share = (limit - state.tip) / (pressed.tip - state.tip) + _BROKEN
+        return (share, pressed.forces) if 0.0 < share < 1.0 - _BROKEN else None
 
     # ----------------------------------------------------------------- in the tissue
     def _slide(self, state: ContactState, step: Step) -> ContactState:
@@ -243,9 +264,7 @@ class Contact:
         elif not engaged:
             depth = min(max(depth + rate * advance, 0.0), front)
         moved, forces = state.moved, state.forces
-        memory = FrictionMemory(
-            state.slip, state.strain, state.slid, state.advance, state.lasted
-        )
+        memory = FrictionMemory(state.slip, state.strain, state.slid, state.advance, state.lasted)
         reached, missed = deepest, math.inf  # how far the tip cuts at least, and does not
         nearly = _SETTLED * track.spacing
         if heading:
@@ -259,7 +278,7 @@ class Contact:
             bent = solution or state
             track = self._growth.grown(track, step, bent, forces, depth, heading > 0)
             moved = _known(moved, forces, track, step)
-            limit = self._tip_limit(state, track, front, engaged, advance, step.duration)
+            limit = self._tip_limit(state, track, front, engaged, step)
             solution = self._balance.inserted(track, step, moved, memory, status, depth, limit)
             solves += solution.solves
             forces = solution.forces
@@ -296,9 +315,7 @@ class Contact:
             depth = max(depth, 0.0)
             if settled and opened and heading > 0:
                 # what slipped far as the tip snapped in rubs with what is left then
-                memory = memory._replace(
-                    slid=solution.slid, advance=advance, lasted=step.duration
-                )
+                memory = memory._replace(slid=solution.slid, advance=advance, lasted=step.duration)
                 status, opened = solution.status, False
             elif settled:
                 break
@@ -343,8 +360,7 @@ class Contact:
         track: Track,
         front: float,
         engaged: bool,
-        advance: float,
-        duration: float,
+        step: Step,
     ) -> float:
         """Return what the tip may bear, N: cutting while it advances, less and less in a hold.
 
@@ -355,8 +371,11 @@ class Contact:
             return 0.0
         mean, opening = tip_bound(track.stretches, front, self._bevel)
         cutting = self.laws.cutting(mean, front) + opening
-        if advance <= STILL:
-            cutting = min(cutting, self.laws.relaxed(state.bearing, duration))
+        if step.fallen < 1.0:
+            broken = self.laws.at(track.points[0]).puncture
+            cutting = broken + step.fallen * (cutting - broken)
+        if step.advance <= STILL:
+            cutting = min(cutting, self.laws.relaxed(state.bearing, step.duration))
         return cutting
 
 
@@ -372,6 +391,6 @@ def _known(moved: Vector, forces: Vector, track: Track, step: Step) -> Vector:
     known = len(moved)
     if known == track.laid:
         return moved
-    wider = step.free(track.table) + track.table.displacement(forces)
+    wider = step.free(track.table) + track.table.displacement(step.yielding * forces)
     wider[:known] = moved
     return wider

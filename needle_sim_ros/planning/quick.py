@@ -21,7 +21,7 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.similarity import softened
 from needle_sim_ros.simulator import Simulator, Snapshot
-from needle_sim_ros.substeps import Route
+from needle_sim_ros.tick.route import Route
 from needle_sim_ros.tissue.build import BuiltTissue, plane_points
 from needle_sim_ros.tissue.dynamics import expand
 from needle_sim_ros.tissue.mesh import planned_path, spacings
@@ -125,7 +125,7 @@ class QuickSimulator(Simulator):
         # the next rollout is elsewhere before it would be there
         self._contact_laws.layer.prepares = False
 
-    def _steps(self, state: Snapshot, route: Route, dt: float) -> tuple[int, int, int]:
+    def _steps(self, state: Snapshot, route: Route) -> tuple[int, int, int]:
         spacing = self.scene.solver.track_spacing
         by_turn = math.ceil(math.hypot(*route.motion.turning) / _MOST_TURN - 1e-9)
         by_way = math.ceil(route.length / (_FARTHEST * spacing) - 1e-9)

@@ -18,6 +18,7 @@ from needle_sim_ros.tissue.factor import Factor
 from needle_sim_ros.tissue.model import TissueModel
 from needle_sim_ros.tissue.products import product
 from needle_sim_ros.tissue.response import ModalPart, Reading, ResponseTable
+from needle_sim_ros.tissue.yielding import Yielded
 
 # m, N and their rates: far below what counts, far above where numbers lose digits
 _NEGLIGIBLE = 1e-200
@@ -39,29 +40,23 @@ class WithinStep(NamedTuple):
     state : Any
         At the start.
     prediction : Any
-        Of the end.
-    share : float
-        Of the step that has passed.
-    begun : ndarray, shape (k, d)
-        Forces at the start, on the first rows, N.
+        Of the end, without contact forces.
+    yielded : Yielded or None
+        How it answers there; None at the step's end.
     """
 
     state: Any
     prediction: Any
-    share: float
-    begun: Vector
+    yielded: Yielded | None = None
+
+    @property
+    def share(self) -> float:
+        """Of the step that has passed."""
+        return 1.0 if self.yielded is None else self.yielded.share
 
     def acting(self, forces: Vector) -> Vector:
-        """Return what acts on the tissue as it would be without contact forces, (n, d), N.
-
-        Without, it is between where the forces at the start leave it and its prediction.
-        """
-        if self.share == 1.0:
-            return forces
-        rest = forces.copy()
-        known = min(len(self.begun), len(rest))
-        rest[:known] -= (1.0 - self.share) * self.begun[:known]
-        return rest
+        """Return what forces (n, d) come to on the tissue between start and prediction, N."""
+        return forces if self.yielded is None else self.yielded.acting(forces)
 
 
 class Dynamics(Protocol):

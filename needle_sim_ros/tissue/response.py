@@ -8,6 +8,7 @@ already grown beyond it takes a copy first.
 
 from __future__ import annotations
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -180,6 +181,15 @@ class ResponseTable:
     def store(self) -> Vector:
         """All of :meth:`between`, with room for rows to come, row by row in memory."""
         return self._store.between
+
+    def yielding(self, part: float) -> ResponseTable:
+        """Return the rows of now with a part of their compliance, to find a balance with."""
+        twin = ResponseTable.__new__(ResponseTable)
+        twin.compliance, twin.modes, twin.count = self.compliance, self.modes, self.count
+        twin._axes, twin._blocks, twin.rows = None, {}, self.rows
+        twin._store = copy.copy(self._store)
+        twin._store.between = part * self.between()
+        return twin
 
     def displacement(self, forces: Vector) -> Vector:
         """Return the displacement of all rows, (n, d), by forces (k, d) on the first k."""

@@ -3,11 +3,11 @@
 
 import numpy as np
 import pytest
+from needle_sim_ros.substeps import Route
 
 from needle_sim_ros import BaseCommand, CommandError
-from needle_sim_ros.base_motion import commanded
-from needle_sim_ros.coupled_step import Coupled
-from needle_sim_ros.substeps import Route
+from needle_sim_ros.tick.base_motion import commanded
+from needle_sim_ros.tick.coupled_step import Coupled
 
 NEWMARK = {"solver.dynamics": "newmark", "solver.time_step": 0.05, "solver.modes": 20}
 

@@ -20,17 +20,11 @@ from needle_sim_ros.geometry import (
 )
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
-from needle_sim_ros.scene import Friction, Scene
+from needle_sim_ros.scene import Scene
 
 _STEEPEST = math.cos(math.radians(80))
-# rad that the base turns at most in a step of a tick
-_TURN = 0.05
 # change of velocity, in proportion to the larger one, from which it counts as a jump
 _JUMP = 0.2
-# path in a step, in weakening distances, where points begin to slide; most steps for it
-_FINE, MOST_UNSTEADY = 0.06, 32
-# time in a step, in healing times, where points may be stuck
-_HEALED = 0.1
 _NO_TURN = np.zeros(3)
 
 
@@ -120,42 +114,10 @@ def jumps(rate: tuple[float, ...], before: tuple[float, ...], length: float) -> 
     return change > _JUMP * largest
 
 
-def half_spacings(way: float, spacing: float) -> int:
-    """Return into how many parts of half a track spacing a way falls, both m."""
-    return max(1, math.ceil(2 * way / spacing - 1e-9))
-
-
-def static_steps(motion: BaseMotion, spacing: float) -> int:
-    """Return into how many steps of half a track spacing, m, a quasi-static tick falls."""
-    angle = 0.0 if motion.turning is _NO_TURN else math.hypot(*motion.turning)
-    return max(half_spacings(motion.length, spacing), math.ceil(angle / _TURN))
-
-
 def fastest(rate: tuple[float, ...], length: float) -> float:
     """Return the largest component of a rate, m/s; of turning, the speed at a length, m, counts."""
     x, y, z, u, v, w = rate
     return max(abs(x), abs(y), abs(z), length * max(abs(u), abs(v), abs(w)))
-
-
-def unsteady_steps(speed: float, dt: float, friction: Friction, least: int) -> int:
-    """Return into how many steps a tick falls in which points begin to slide.
-
-    Where each of them does is known to a step only, and what follows depends on it; so it does
-    on how far the friction of those that are stuck has recovered.
-
-    Parameters
-    ----------
-    speed : float
-        Of the base, m/s.
-    dt : float
-        s.
-    friction : Friction
-    least : int
-        Steps that it falls into anyway.
-    """
-    slid = speed * dt / (_FINE * friction.weakening_distance)
-    healed = dt / (_HEALED * friction.healing_time)
-    return max(least, min(MOST_UNSTEADY, math.ceil(max(slid, healed) - 1e-9)))
 
 
 def check(

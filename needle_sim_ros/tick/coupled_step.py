@@ -10,14 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from needle_sim_ros.base_motion import half_spacings
 from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.substeps import FreeOnTheWay, Reach, Route, ends, parts_of_step
+from needle_sim_ros.tick.division import Division, ends
+from needle_sim_ros.tick.on_the_way import OnTheWay
+from needle_sim_ros.tick.reach import Reach
+from needle_sim_ros.tick.route import Route
 from needle_sim_ros.tissue.dynamics import Dynamics, WithinStep
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
@@ -28,6 +30,24 @@ class Coupled(NamedTuple):
     contact: ContactState
     tissue: Any
     pose: BasePose
+
+
+class _Plan(NamedTuple):
+    """How a step is taken.
+
+    Attributes
+    ----------
+    pieces : list of tuple of float
+        Begin and end of each, as shares of the tick.
+    fallen : float
+        As in Step, at its end.
+    onward : ndarray, shape (k, d)
+        Forces at its end if they went on evenly, N.
+    """
+
+    pieces: list[tuple[float, float]]
+    fallen: float
+    onward: Vector
 
 
 class CoupledStep:
@@ -41,6 +61,7 @@ class CoupledStep:
         Between needle and tissue.
     empty : ResponseTable
         What a needle that has no track acts on.
+    division : Division
     scene : Scene
     """
 
@@ -49,11 +70,12 @@ class CoupledStep:
         dynamics: Dynamics,
         laws: Contact,
         empty: ResponseTable,
+        division: Division,
         scene: Scene,
     ) -> None:
         self._dynamics, self._laws, self._empty = dynamics, laws, empty
-        self._scene, self._spacing = scene, scene.solver.track_spacing
-        self._reach, self._length = Reach.of(scene), scene.needle.length
+        self._division, self._reach = division, Reach.of(scene)
+        self._length, self._viscosity = scene.needle.length, scene.tissue.damping.beta
         self._remembers = scene.solver.dynamics == "newmark"
 
     def carry_out(
@@ -61,7 +83,6 @@ class CoupledStep:
         state: Coupled,
         route: Route,
         span: tuple[float, float],
-        dt: float,
         equal: int,
         settling: bool,
     ) -> tuple[Coupled, float, int]:
@@ -74,8 +95,6 @@ class CoupledStep:
             Of the base in the tick.
         span : tuple of float
             Where the part begins and ends, as shares of the tick.
-        dt : float
-            Of the tick, s.
         equal : int
             Parts that the contact takes at least; 0 where the tissue's step decides.
         settling : bool
@@ -99,35 +118,39 @@ class CoupledStep:
         dynamics, (start, end) = self._dynamics, span
         contact, tissue, pose = state
         prediction = dynamics.predict(tissue, settling)
-        far = way = 0.0
+        far = swept = 0.0
         if self._remembers:
             whole = (2 if settling else 1) * (end - start)  # of a time step
-            far, way = whole * route.advance, whole * route.swept(self._length)
-            self._reach.check(contact, far, way)
-            law, part = self._laws.laws.interaction.friction, end - start
-            equal = parts_of_step(self._scene, law, contact, route, part, dt, settling)
-        within = WithinStep(tissue, prediction, 1.0, contact.forces)
-
-        pieces = _pieces(start, end, equal)
+            far, swept = whole * route.advance, whole * route.swept(self._length)
+            self._reach.check(contact, far, swept)
+            equal = self._division.of_step(contact, route, end - start, settling)
+        within, plan = WithinStep(tissue, prediction), None
         if self._remembers and contact.touching:
-            pieces = self._breaking(contact, prediction.rows, route, pose, span) or pieces
-        free, advance, count, done = None, 0.0, 0, start
+            plan = self._breaking(contact, prediction.rows, route, pose, span)
+        pieces, fallen, onward = plan or _Plan(_pieces(start, end, equal), 1.0, contact.forces)
+        begun, way, advance, count, done = contact, None, 0.0, 0, start
         for begin, to in pieces:
             for part in ends(contact, (to - begin) * route.length):
                 share = to if part == 1.0 else begin + part * (to - begin)
-                after = route.at(share)
-                rows: FreeRows = prediction.rows
-                here = within
-                if self._remembers and share != end:
-                    free = free or FreeOnTheWay(rows, contact)
-                    here = within._replace(share=(share - start) / (end - start))
-                    rows = free.at(here.share)
-                step = Step(pose, after, dt * (share - done), rows, partial(dynamics.at, here))
-                contact = self._laws.step(contact, step)
+                after, lasts = route.at(share), route.duration * (share - done)
+                if share == end or not self._remembers:
+                    at = partial(dynamics.at, within)
+                    step = Step(pose, after, lasts, prediction.rows, at, fallen=fallen)
+                    contact = self._laws.step(contact, step)
+                else:
+                    passed = (share - start) / (end - start)
+                    if way is None:
+                        whole = (end - start) * route.duration
+                        way = OnTheWay(prediction.rows, begun, self._viscosity, whole, onward)
+                    yielded, rows = way.at(passed)
+                    at = partial(dynamics.at, within._replace(yielded=yielded))
+                    step = Step(pose, after, lasts, rows, at, yielded.part)
+                    contact = self._laws.step(contact, step)
+                    way.took(passed, contact)
                 advance += step.advance
                 pose, done, count = after, share, count + 1
         if self._remembers:
-            self._reach.check(contact, far, way)
+            self._reach.check(contact, far, swept)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
         if not math.isfinite(np.add.reduce(contact.forces, axis=None) + contact.depth):
@@ -141,20 +164,22 @@ class CoupledStep:
         route: Route,
         pose: BasePose,
         span: tuple[float, float],
-    ) -> list[tuple[float, float]] | None:
-        """Return pieces of a step in which the surface breaks, the first up to there.
+    ) -> _Plan | None:
+        """Return the plan of a step in which the surface breaks, the first piece up to there.
 
         How the tissue is dented there decides where the track leads; how finely time is
-        divided must not.
+        divided must not. As the tissue takes forces to change evenly over all of the step, the
+        tip's must not fall as far by its end as if it had fallen as long.
         """
         start, end = span
         step = Step(pose, route.at(end), 0.0, rows, _unread)
-        share = self._laws.breaking(contact, step)
-        if share is None:
+        broken = self._laws.breaking(contact, step)
+        if broken is None:
             return None
+        share, pressed = broken
         breaks = start + share * (end - start)
-        parts = half_spacings((end - breaks) * route.length, self._spacing)
-        return [(start, breaks), *_pieces(breaks, end, parts)]
+        parts = self._division.of_opening(route, end - breaks)
+        return _Plan([(start, breaks), *_pieces(breaks, end, parts)], 1.0 - share, pressed)
 
 
 def _pieces(start: float, end: float, count: int) -> list[tuple[float, float]]:

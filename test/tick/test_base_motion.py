@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_sim_ros import BaseCommand
-from needle_sim_ros.base_motion import (
+from needle_sim_ros.scene import Friction
+from needle_sim_ros.tick.base_motion import (
     AT_REST,
     MOST_UNSTEADY,
     commanded,
@@ -19,7 +20,6 @@ from needle_sim_ros.base_motion import (
     static_steps,
     unsteady_steps,
 )
-from needle_sim_ros.scene import Friction
 
 PLACE = np.array([0.01, 0.0, 0.14])
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from needle_sim_ros.substeps import FreeOnTheWay, Reach, Route, caught, ends, parts_of_step
 
 from needle_sim_ros import BaseCommand, CommandError
-from needle_sim_ros.base_motion import commanded
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.interaction.state import AIMED, ContactState
-from needle_sim_ros.substeps import FreeOnTheWay, Reach, Route, caught, ends, parts_of_step
+from needle_sim_ros.tick.base_motion import commanded
 
 PLACE = np.array([0.01, 0.0, 0.14])
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
