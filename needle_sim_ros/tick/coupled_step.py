@@ -140,8 +140,10 @@ class CoupledStep:
                 else:
                     passed = (share - start) / (end - start)
                     if way is None:
+                        # a settling half takes its forces to act from its start
+                        viscosity = 0.0 if settling else self._viscosity
                         whole = (end - start) * route.duration
-                        way = OnTheWay(prediction.rows, begun, self._viscosity, whole, onward)
+                        way = OnTheWay(prediction.rows, begun, viscosity, whole, onward)
                     yielded, rows = way.at(passed)
                     at = partial(dynamics.at, within._replace(yielded=yielded))
                     step = Step(pose, after, lasts, rows, at, yielded.part)

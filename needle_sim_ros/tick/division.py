@@ -12,7 +12,6 @@ import math
 from needle_sim_ros.interaction.contact import Contact
 from needle_sim_ros.interaction.friction import creep
 from needle_sim_ros.interaction.state import ContactState
-from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Friction, Scene
 from needle_sim_ros.tick.base_motion import BaseMotion
 from needle_sim_ros.tick.route import Route
@@ -44,8 +43,7 @@ class Division:
 
     def __init__(self, scene: Scene, laws: Contact) -> None:
         self._laws, self._spacing = laws, scene.solver.track_spacing
-        self._length, self._bevel = scene.needle.length, tip.spread_length(scene.needle)
-        self._viscosity = scene.tissue.damping.beta
+        self._length, self._viscosity = scene.needle.length, scene.tissue.damping.beta
 
     def of_tick(self, contact: ContactState, route: Route, jump: bool) -> int:
         """Return into how many equal parts a quasi-static tick falls.
@@ -80,20 +78,18 @@ class Division:
         if not contact.inserted:
             return 1
         parts = half_spacings(share * route.length, self._spacing)
-        if jump and contact.front < self._bevel:
-            parts = max(parts, self._springing(share * route.duration))
         return self._unsteady(contact, route, share, jump, parts)
 
     def of_opening(self, route: Route, share: float) -> int:
-        """Return the same of what is left of a time step in which the surface breaks."""
-        parts = half_spacings(share * route.length, self._spacing)
-        return max(parts, self._springing(share * route.duration))
+        """Return the same of what is left of a time step in which the surface breaks.
 
-    def _springing(self, duration: float) -> int:
-        """Return into how many parts the time falls in which the tissue springs back."""
+        There the tissue springs back as fast as its viscosity lets it.
+        """
+        parts = half_spacings(share * route.length, self._spacing)
         if self._viscosity == 0:
-            return 1
-        return min(MOST, math.ceil(duration / (_SPRUNG * self._viscosity)))
+            return parts
+        yields = math.ceil(share * route.duration / (_SPRUNG * self._viscosity))
+        return max(parts, min(MOST, yields))
 
     def _unsteady(
         self, contact: ContactState, route: Route, share: float, jump: bool, parts: int

@@ -9,16 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_sim_ros import BaseCommand
-from needle_sim_ros.scene import Friction
 from needle_sim_ros.tick.base_motion import (
     AT_REST,
-    MOST_UNSTEADY,
     commanded,
     fastest,
     jumps,
     part_way,
-    static_steps,
-    unsteady_steps,
 )
 
 PLACE = np.array([0.01, 0.0, 0.14])
@@ -71,24 +67,6 @@ def test_jumps_of_velocity(before, after, expected):
 def test_a_turn_that_begins_is_a_jump():
     assert jumps((0, 0, -3e-3, 0, 0.1, 0), (0, 0, -3e-3, 0, 0, 0), LENGTH)
     assert not jumps((0, 0, -3e-3, 0, 1e-3, 0), (0, 0, -3e-3, 0, 0, 0), LENGTH)
-
-
-@given(st.floats(1e-6, 0.1))
-def test_static_steps_are_short(advance):
-    motion = commanded(BaseCommand(velocity=(0, 0, -advance)), PLACE, DOWN, 1.0)
-    steps = static_steps(motion, 1e-3)
-    assert advance / steps <= 0.5e-3 * (1 + 1e-6)
-    assert steps == 1 or advance / (steps - 1) > 0.5e-3 * (1 - 1e-6)
-
-
-def test_unsteady_steps_follow_the_slip_and_the_healing():
-    friction = Friction(weakening_distance=5e-4, healing_time=0.1)
-    assert unsteady_steps(1e-3, 1.0, friction, 1) == MOST_UNSTEADY
-    assert unsteady_steps(1e-3, 0.1, friction, 1) == 10
-    assert unsteady_steps(6e-3, 0.01, friction, 1) == 2
-    assert unsteady_steps(0.0, 0.01, friction, 1) == 1
-    assert unsteady_steps(0.0, 0.05, friction, 1) == 5
-    assert unsteady_steps(0.0, 0.05, friction, 7) == 7
 
 
 def test_the_fastest_of_base_and_needle():

@@ -5,36 +5,27 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from needle_sim_ros.substeps import FreeOnTheWay, Reach, Route, caught, ends, parts_of_step
 
-from needle_sim_ros import BaseCommand, CommandError
+from needle_sim_ros import BaseCommand
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.process import Process
 from needle_sim_ros.interaction.state import AIMED, ContactState
+from needle_sim_ros.needle.tip import bevel_length
+from needle_sim_ros.scene import Friction
 from needle_sim_ros.tick.base_motion import commanded
+from needle_sim_ros.tick.division import (
+    MOST,
+    Division,
+    caught,
+    ends,
+    static_parts,
+    unsteady_parts,
+)
+from needle_sim_ros.tick.route import Route
 
 PLACE = np.array([0.01, 0.0, 0.14])
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
 SPACING = 2e-3  # of the coarse scene
-
-
-def route(**command):
-    pose = BasePose.of(PLACE, DOWN, 2)
-    return Route(PLACE, DOWN, pose, commanded(BaseCommand(**command), PLACE, DOWN, 0.1))
-
-
-@given(st.floats(0.0, 1.0))
-def test_a_straight_way_in_proportion(share):
-    way = route(velocity=(0.03, 0.0, -0.04))
-    assert way.length == pytest.approx(5e-3)
-    assert way.advance == pytest.approx(4e-3)
-    np.testing.assert_allclose(way.at(share).origin, [0.01 + 3e-3 * share, 0.14 - 4e-3 * share])
-
-
-@given(st.floats(0.0, 1.0))
-def test_a_turn_in_proportion(share):
-    axial = route(angular_velocity=(0.0, 2.0, 0.0)).at(share).axial
-    np.testing.assert_allclose(np.arctan2(-axial[0], -axial[1]), 0.2 * share, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -56,6 +47,24 @@ def test_points_that_slid_and_stick_are_caught(before, after, sticks):
     assert caught(*states) is sticks
 
 
+@given(st.floats(1e-6, 0.1))
+def test_static_parts_are_short(advance):
+    motion = commanded(BaseCommand(velocity=(0, 0, -advance)), PLACE, DOWN, 1.0)
+    steps = static_parts(motion, 1e-3)
+    assert advance / steps <= 0.5e-3 * (1 + 1e-6)
+    assert steps == 1 or advance / (steps - 1) > 0.5e-3 * (1 - 1e-6)
+
+
+def test_unsteady_parts_follow_the_slip_and_the_healing():
+    friction = Friction(weakening_distance=5e-4, healing_time=0.1)
+    assert unsteady_parts(1e-3, 1.0, friction, 1) == MOST
+    assert unsteady_parts(1e-3, 0.1, friction, 1) == 10
+    assert unsteady_parts(6e-3, 0.01, friction, 1) == 2
+    assert unsteady_parts(0.0, 0.01, friction, 1) == 1
+    assert unsteady_parts(0.0, 0.05, friction, 1) == 5
+    assert unsteady_parts(0.0, 0.05, friction, 7) == 7
+
+
 def inserted(simulator, ticks=100):
     for _ in range(ticks):
         simulator.step(BaseCommand(velocity=[0, 0, -3e-3]), 0.05)
@@ -74,47 +83,17 @@ def test_parts_end_where_the_tip_is_in_the_middle_of_a_segment(simulator):
     assert list(ends(contact, 1e-3 * SPACING)) == [1.0]
 
 
-def test_newmark_steps_in_and_out_are_bounded(simulator):
-    contact, reach = inserted(simulator()), Reach(SPACING, 1.0, "")
-    reach.check(contact, 2 * SPACING, 2 * SPACING)
-    reach.check(contact, -4 * SPACING, 4 * SPACING)
-    for advance, most in ((2.1, 2), (-4.1, 4)):
-        with pytest.raises(CommandError, match=f"{most} times solver.track_spacing.*time_step"):
-            reach.check(contact, advance * SPACING, abs(advance) * SPACING)
-    reach.check(simulator().snapshot().contact, 1.0, 1.0)
-
-
-def test_steps_that_resolve_a_wave_are_bounded_in_any_direction(simulator, coarse_scene):
-    """2 % of the 80 mm; a step longer than the wave's 0.14 s has no wave to resolve."""
-    contact = inserted(simulator())
-    reach = Reach.of(coarse_scene({"solver.time_step": 0.05}))
-    reach.check(contact, 0.0, 1.6e-3)
-    with pytest.raises(CommandError, match=r"0.0017 m in one time step, more than 0.0016 m, 2%"):
-        reach.check(contact, 0.0, 1.7e-3)
-    Reach.of(coarse_scene({"solver.time_step": 0.2})).check(contact, 0.0, 1.0)
-
-
-def test_a_turn_sweeps_the_needle():
-    assert route(angular_velocity=(0.0, 2.0, 0.0)).swept(0.1) == pytest.approx(0.02)
-    assert route(velocity=(0.03, 0.0, -0.04)).swept(0.1) == pytest.approx(5e-3)
-
-
-def test_what_the_needle_dragged_goes_on_when_it_stops():
-    pose = BasePose.of(PLACE, DOWN, 2)
-    rest = commanded(BaseCommand(), PLACE, DOWN, 0.1)
-    assert Route(PLACE, DOWN, pose, rest, (0, 0, -0.05, 0, 0, 0)).fastest(0.1) == 0.05
-    assert Route(PLACE, DOWN, pose, rest).fastest(0.1) == 0.0
-
-
 def test_a_step_of_the_tissue_falls_in_parts(simulator):
     """Of half a track spacing; of a tenth of the healing time while friction recovers."""
-    scene = simulator().scene
-    law, contact = scene.interaction.friction, inserted(simulator())
+    sim = simulator()
+    law = sim.scene.interaction.friction
+    contact = inserted(sim)._replace(front=2 * bevel_length(sim.scene.needle))
+    division = Division(sim.scene, sim._contact_laws)
 
     def parts(way, dt, jump=False, now=contact):
         pose = BasePose.of(PLACE, DOWN, 2)
         moved = commanded(BaseCommand(velocity=(0, 0, -way / dt)), PLACE, DOWN, dt)
-        return parts_of_step(scene, law, now, Route(PLACE, DOWN, pose, moved), 1.0, dt, jump)
+        return division.of_step(now, Route(PLACE, DOWN, pose, moved, dt), 1.0, jump)
 
     assert parts(1.6 * SPACING, 0.1) == 4
     assert parts(1.0, 0.1, now=simulator().snapshot().contact) == 1
@@ -129,16 +108,22 @@ def test_a_step_of_the_tissue_falls_in_parts(simulator):
     assert parts(0.0, 0.2, now=stuck) == 20
 
 
-def test_free_displacement_starts_where_the_tissue_is(simulator):
-    """At the start of a step it is what the forces of then leave of the displacement."""
-    sim = simulator({"solver.dynamics": "newmark", "solver.time_step": 0.05, "solver.modes": 20})
-    contact = inserted(sim)
-    table = contact.track.table
-    rows = np.full_like(contact.moved, 1e-3)
-    free = FreeOnTheWay(lambda _: rows.copy(), contact)
-    forced = table.displacement(contact.forces)
-    np.testing.assert_allclose(free.at(0.0)(table) + forced, contact.moved, atol=1e-15)
-    np.testing.assert_array_equal(free.at(1.0)(table), rows)
+def test_the_opened_tissue_springs_back_in_parts(simulator):
+    """Of a quarter of the 10 ms in which it yields, while the bevel goes in; 32 at most."""
+    sim = simulator({"tissue.damping.beta": 0.01})
+    division = Division(sim.scene, sim._contact_laws)
+    pose = BasePose.of(PLACE, DOWN, 2)
+
+    def still(dt):
+        return Route(PLACE, DOWN, pose, commanded(BaseCommand(), PLACE, DOWN, dt), dt)
+
+    assert division.of_opening(still(0.02), 0.5) == 4
+    assert division.of_opening(still(1.0), 1.0) == MOST
+    shallow = inserted(sim)
+    deep = shallow._replace(front=2 * bevel_length(sim.scene.needle))
+    assert division.of_step(shallow, still(0.005), 1.0, True) == 2
+    assert division.of_step(shallow, still(0.005), 1.0, False) == 1
+    assert division.of_step(deep, still(0.005), 1.0, True) == 1
 
 
 @pytest.mark.parametrize(

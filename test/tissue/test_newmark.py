@@ -12,6 +12,7 @@ from scipy.sparse.linalg import eigsh, spsolve
 from needle_sim_ros.tissue.compliance import Footprint
 from needle_sim_ros.tissue.dynamics import WithinStep
 from needle_sim_ros.tissue.newmark import Motion, NewmarkRule, effective_matrix
+from needle_sim_ros.tissue.yielding import Yielded
 
 NOTHING = np.zeros((2, 2))
 PUSH = np.array([[0.0, -0.1], [0.02, -0.05]])  # per row: x, z
@@ -195,11 +196,11 @@ def test_all_ways_to_read_the_tissue_agree(loaded, kind):
     nodes = np.arange(0, model.nodes, 7)
     place = Footprint(nodes, np.cos(nodes))
     reading = tissue.table.reading(place)
-    ends = WithinStep(before, prediction, 1.0, -PUSH)
+    ends = WithinStep(before, prediction)
     found = dynamics.at(ends, tissue.table, PUSH, reading)
     np.testing.assert_allclose(found, place.weights @ everywhere[nodes], atol=1e-9 * scale)
     begun = place.weights @ dynamics.everywhere(before, tissue.table, -PUSH)[nodes]
-    starts = ends._replace(share=0.0)
+    starts = ends._replace(yielded=Yielded(0.0, 1.0, np.zeros_like(PUSH), -PUSH))
     found = dynamics.at(starts, tissue.table, -PUSH, reading)
     np.testing.assert_allclose(found, begun, atol=1e-9 * scale)
     read = dynamics.at_readers(after, tissue.table, PUSH).reshape(-1, 2)
