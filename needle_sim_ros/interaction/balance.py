@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction import compiled_balance, friction
-from needle_sim_ros.interaction.contact_solve import solve_contact
 from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart
 from needle_sim_ros.interaction.lateral_hold import LateralHold
 from needle_sim_ros.interaction.laws import Laws
@@ -58,6 +57,7 @@ class Balance:
         self._rigidity = scene.needle.flexural_rigidity
         self._tolerance = scene.solver.tolerance
         self._tip_at = np.array([self._length])
+        self._tip_bend = float(beam.flexibility(self._tip_at, self._tip_at, self._rigidity)[0, 0])
         spacing = scene.solver.track_spacing
         self._places = spacing * np.arange(3.0 + self._length / spacing)
         tissue = scene.tissue
@@ -92,22 +92,23 @@ class Balance:
         """
         pose, free = step.after, step.free(track.table)
         m = len(pose.lateral)
-        between = step.yielding * track.table.between(1)
-        axes = np.vstack([pose.lateral, pose.axial])
-        matrix = axes @ between @ axes.T
-        bend = beam.flexibility(self._tip_at, self._tip_at, self._rigidity)[0, 0]
-        matrix[np.arange(m), np.arange(m)] += bend
+        axes = np.concatenate([pose.lateral, pose.axial[None]])
+        matrix = (step.yielding * axes) @ track.table.between(1) @ axes.T
+        matrix.reshape(-1)[: m * (m + 2) : m + 2] += self._tip_bend
         point = track.points[0] + free[0]
-        right = np.append(-pose.aside(point), self._length - pose.along(point))
-        low = np.append(np.full(m, -np.inf), 0.0)
-        high = np.append(np.full(m, np.inf), limit)
-        status = np.zeros(m + 1, dtype=np.int8)
-        found = solve_contact(matrix, right, low, high, status, self._tolerance)
-        lateral, force = found.x[:m, None], float(found.x[m])
-        forces = (found.x[:m] @ pose.lateral + force * pose.axial)[None, :]
+        aside, reach = -pose.aside(point), self._length - pose.along(point)
+        # one force is bounded: the others follow it
+        cross, softness = matrix[:m, m], matrix[m, m]
+        alone, with_it = np.linalg.solve(matrix[:m, :m], np.stack([aside, cross], axis=1)).T
+        softness -= cross @ with_it
+        wanted = float((reach - cross @ alone) / softness)
+        force = min(max(wanted, 0.0), limit)
+        lateral = alone - force * with_it
+        forces = (lateral @ pose.lateral + force * pose.axial)[None, :]
+        left = matrix[:m, :m] @ lateral + force * cross - aside
         return BalanceSolution(
             active=1,
-            lateral=lateral,
+            lateral=lateral[:, None],
             friction=np.zeros(1),
             tip=force,
             arclength=self._tip_at,
@@ -121,9 +122,9 @@ class Balance:
             moved=free + track.table.displacement(step.yielding * forces),
             forces=forces,
             status=np.zeros(0, dtype=np.int8),
-            solves=found.iterations,
-            residual=float(np.abs(found.gradient[:m]).max()) / max(np.abs(right).max(), 1e-300),
-            overlap=-float(found.gradient[m]) if force >= limit else 0.0,
+            solves=1,
+            residual=float(np.abs(left).max()) / max(np.abs(aside).max(), abs(reach), 1e-300),
+            overlap=float((wanted - force) * softness) if force >= limit else 0.0,
         )
 
     def inserted(

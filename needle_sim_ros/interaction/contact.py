@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from needle_sim_ros.interaction.friction import STILL, FrictionMemory
 from needle_sim_ros.interaction.growth import TrackGrowth
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
+from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.interaction.stretches import tip_bound
 from needle_sim_ros.interaction.track import Track, TrackLayer
@@ -99,6 +101,21 @@ class Step:
         self.free, self.sample = free, sample
         self.advance = -after.ahead(before)
         self.turning = after.terms is not before.terms
+
+
+class Broken(NamedTuple):
+    """How the surface breaks within a step.
+
+    Attributes
+    ----------
+    share : float
+        Of the step, after which it does: forces change evenly as base and tissue move.
+    onward : ndarray, shape (1, d)
+        Forces at the step's end if it did not, N.
+    """
+
+    share: float
+    onward: Vector
 
 
 class Contact:
@@ -222,10 +239,8 @@ class Contact:
         assert state.track is not None
         limit = self.laws.at(state.track.points[0]).puncture
         solution = self._balance.touch(state.track, step, limit)
-        if solution.tip <= 0 and solution.overlap <= 0:
-            return self._released(state._replace(front=0.0), step)
         if solution.overlap <= 0:
-            return state._replace(**solution.fields(), touching=True)
+            return self._unbroken(state, step, solution)
         # the surface breaks: the same step goes on with a track
         pressed = state.track._replace(dent=self._balance.dent(limit))
         track = self._growth.opened(pressed, step, solution, solution.forces)
@@ -235,19 +250,23 @@ class Contact:
         moved = _known(state.moved, forces, track, step)
         return self.at_rest()._replace(track=track, inserted=True, moved=moved, forces=forces)
 
-    def breaking(self, state: ContactState, step: Step) -> tuple[float, Vector] | None:
-        """Return after what part of a step the surface that the tip presses on breaks.
+    def _unbroken(self, state: ContactState, step: Step, solution: BalanceSolution) -> ContactState:
+        if solution.tip <= 0:
+            return self._released(state._replace(front=0.0), step)
+        return state._replace(**solution.fields(), touching=True)
 
-        And the forces (1, d) at the step's end if it did not, N: they rise evenly as base and
-        tissue move. None where it does not break, or at the step's very end.
+    def pressed(self, state: ContactState, step: Step) -> ContactState | Broken | None:
+        """Return the state after a step whose tip presses on the surface, or how that breaks.
+
+        None where it breaks at the step's very end.
         """
         assert state.track is not None
         limit = self.laws.at(state.track.points[0]).puncture
         pressed = self._balance.touch(state.track, step, math.inf)
         if pressed.tip <= limit:
-            return None
+            return self._unbroken(state, step, pressed)
         share = (limit - state.tip) / (pressed.tip - state.tip) + _BROKEN
-        return (share, pressed.forces) if 0.0 < share < 1.0 - _BROKEN else None
+        return Broken(share, pressed.forces) if 0.0 < share < 1.0 - _BROKEN else None
 
     # ----------------------------------------------------------------- in the tissue
     def _slide(self, state: ContactState, step: Step) -> ContactState:

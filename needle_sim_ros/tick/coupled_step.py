@@ -12,7 +12,7 @@ import numpy as np
 
 from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.contact import Contact, FreeRows, Step
+from needle_sim_ros.interaction.contact import Contact, Step
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
 from needle_sim_ros.scene import Scene
@@ -20,7 +20,7 @@ from needle_sim_ros.tick.division import Division, ends
 from needle_sim_ros.tick.on_the_way import OnTheWay
 from needle_sim_ros.tick.reach import Reach
 from needle_sim_ros.tick.route import Route
-from needle_sim_ros.tissue.dynamics import Dynamics, WithinStep
+from needle_sim_ros.tissue.dynamics import Dynamics, Prediction, WithinStep
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 
@@ -48,6 +48,15 @@ class _Plan(NamedTuple):
     pieces: list[tuple[float, float]]
     fallen: float
     onward: Vector
+
+
+class _Followed(NamedTuple):
+    """Contact and base after a step, how far that advanced, and in how many parts."""
+
+    contact: ContactState
+    pose: BasePose
+    advance: float
+    parts: int
 
 
 class CoupledStep:
@@ -105,7 +114,7 @@ class CoupledStep:
         state : Coupled
         advance : float
             Of the base along the needle, m.
-        count : int
+        parts : int
             How often the balance was found.
 
         Raises
@@ -124,64 +133,85 @@ class CoupledStep:
             far, swept = whole * route.advance, whole * route.swept(self._length)
             self._reach.check(contact, far, swept)
             equal = self._division.of_step(contact, route, end - start, settling)
-        within, plan = WithinStep(tissue, prediction), None
-        if self._remembers and contact.touching:
-            plan = self._breaking(contact, prediction.rows, route, pose, span)
-        pieces, fallen, onward = plan or _Plan(_pieces(start, end, equal), 1.0, contact.forces)
-        begun, way, advance, count, done = contact, None, 0.0, 0, start
-        for begin, to in pieces:
-            for part in ends(contact, (to - begin) * route.length):
-                share = to if part == 1.0 else begin + part * (to - begin)
-                after, lasts = route.at(share), route.duration * (share - done)
-                if share == end or not self._remembers:
-                    at = partial(dynamics.at, within)
-                    step = Step(pose, after, lasts, prediction.rows, at, fallen=fallen)
-                    contact = self._laws.step(contact, step)
-                else:
-                    passed = (share - start) / (end - start)
-                    if way is None:
-                        # a settling half takes its forces to act from its start
-                        viscosity = 0.0 if settling else self._viscosity
-                        whole = (end - start) * route.duration
-                        way = OnTheWay(prediction.rows, begun, viscosity, whole, onward)
-                    yielded, rows = way.at(passed)
-                    at = partial(dynamics.at, within._replace(yielded=yielded))
-                    step = Step(pose, after, lasts, rows, at, yielded.part)
-                    contact = self._laws.step(contact, step)
-                    way.took(passed, contact)
-                advance += step.advance
-                pose, done, count = after, share, count + 1
+        followed = self._pressed(state, prediction, route, span, settling)
+        if followed is None:
+            plan = _Plan(_pieces(start, end, equal), 1.0, contact.forces)
+            followed = self._followed(state, prediction, route, plan, settling)
+        contact, pose, advance, parts = followed
         if self._remembers:
             self._reach.check(contact, far, swept)
         table = self._empty if contact.track is None else contact.track.table
         tissue = dynamics.complete(tissue, prediction, table, contact.forces)
         if not math.isfinite(np.add.reduce(contact.forces, axis=None) + contact.depth):
             raise SolverError("the tick gave numbers that are not finite")
-        return Coupled(contact, tissue, pose), advance, count
+        return Coupled(contact, tissue, pose), advance, parts
 
-    def _breaking(
+    def _pressed(
         self,
-        contact: ContactState,
-        rows: FreeRows,
+        state: Coupled,
+        prediction: Prediction,
         route: Route,
-        pose: BasePose,
         span: tuple[float, float],
-    ) -> _Plan | None:
-        """Return the plan of a step in which the surface breaks, the first piece up to there.
+        settling: bool,
+    ) -> _Followed | None:
+        """Follow a tip that presses on the surface through a step of the tissue.
 
-        How the tissue is dented there decides where the track leads; how finely time is
-        divided must not. As the tissue takes forces to change evenly over all of the step, the
-        tip's must not fall as far by its end as if it had fallen as long.
+        Up to where the surface breaks: how the tissue is dented there decides where the track
+        leads; how finely time is divided must not. As the tissue takes forces to change evenly
+        over all of the step, the tip's must not fall as far by its end as if it had fallen as
+        long. None where there is no such tip.
         """
-        start, end = span
-        step = Step(pose, route.at(end), 0.0, rows, _unread)
-        broken = self._laws.breaking(contact, step)
-        if broken is None:
+        if not (self._remembers and state.contact.touching):
             return None
-        share, pressed = broken
-        breaks = start + share * (end - start)
-        parts = self._division.of_opening(route, end - breaks)
-        return _Plan([(start, breaks), *_pieces(breaks, end, parts)], 1.0 - share, pressed)
+        start, end = span
+        lasts = (end - start) * route.duration
+        step = Step(state.pose, route.at(end), lasts, prediction.rows, _unread)
+        pressed = self._laws.pressed(state.contact, step)
+        if pressed is None:
+            return None
+        if isinstance(pressed, ContactState):
+            return _Followed(pressed, step.after, step.advance, 1)
+        breaks = start + pressed.share * (end - start)
+        rest = _pieces(breaks, end, self._division.of_opening(route, end - breaks))
+        plan = _Plan([(start, breaks), *rest], 1.0 - pressed.share, pressed.onward)
+        return self._followed(state, prediction, route, plan, settling)
+
+    def _followed(
+        self,
+        state: Coupled,
+        prediction: Prediction,
+        route: Route,
+        plan: _Plan,
+        settling: bool,
+    ) -> _Followed:
+        """Follow the contact through the pieces of a step."""
+        contact, tissue, pose = state
+        pieces, fallen, onward = plan
+        start, end = pieces[0][0], pieces[-1][1]
+        within, way, advance, count, done = WithinStep(tissue, prediction), None, 0.0, 0, start
+        for begin, to in pieces:
+            for part in ends(contact, (to - begin) * route.length):
+                share = to if part == 1.0 else begin + part * (to - begin)
+                after, lasts = route.at(share), route.duration * (share - done)
+                if share == end or not self._remembers:
+                    at = partial(self._dynamics.at, within)
+                    step = Step(pose, after, lasts, prediction.rows, at, fallen=fallen)
+                    contact = self._laws.step(contact, step)
+                else:
+                    if way is None:
+                        # a settling half takes its forces to act from its start
+                        viscosity = 0.0 if settling else self._viscosity
+                        whole = (end - start) * route.duration
+                        way = OnTheWay(prediction.rows, contact, viscosity, whole, onward)
+                    passed = (share - start) / (end - start)
+                    yielded, rows = way.at(passed)
+                    at = partial(self._dynamics.at, within._replace(yielded=yielded))
+                    step = Step(pose, after, lasts, rows, at, yielded.part)
+                    contact = self._laws.step(contact, step)
+                    way.took(passed, contact)
+                advance += step.advance
+                pose, done, count = after, share, count + 1
+        return _Followed(contact, pose, advance, count)
 
 
 def _pieces(start: float, end: float, count: int) -> list[tuple[float, float]]:

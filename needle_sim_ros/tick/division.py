@@ -114,8 +114,10 @@ def half_spacings(way: float, spacing: float) -> int:
 
 def static_parts(motion: BaseMotion, spacing: float) -> int:
     """Return into how many parts of half a track spacing, m, a quasi-static tick falls."""
-    angle = math.hypot(*motion.turning) if any(motion.rate[3:]) else 0.0
-    return max(half_spacings(motion.length, spacing), math.ceil(angle / _TURN))
+    straight = half_spacings(motion.length, spacing)
+    if not any(motion.rate[3:]):
+        return straight
+    return max(straight, math.ceil(math.hypot(*motion.turning) / _TURN))
 
 
 def unsteady_parts(speed: float, dt: float, friction: Friction, least: int) -> int:

@@ -10,6 +10,9 @@ from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.tick.base_motion import AT_REST, BaseMotion, fastest, part_way
 
 
+_NO_TURN = (0.0, 0.0, 0.0)
+
+
 class Route:
     """The way of the base in a tick.
 
@@ -69,6 +72,8 @@ class Route:
 
     def swept(self, length: float) -> float:
         """Return how far the base goes and a needle of some length swings at most, m."""
+        if self.motion.rate[3:] == _NO_TURN:
+            return self.length
         return self.length + length * math.hypot(*self.motion.turning)
 
     def fastest(self, length: float) -> float:
