@@ -109,14 +109,15 @@ def refined(coarse_scene, drive):
 
 
 def test_refining_mesh_and_track_converges(coarse_scene, drive, refined):
-    """4, 2 and 1 mm against half a millimetre: within 2 %, 0.3 % and 0.3 %."""
+    """4, 2 and 1 mm against half a millimetre: within 2, 0.8 and 0.2 %, 4 times less for half."""
     errors = []
     for h in (4e-3, 2e-3, 1e-3):
         changes = {"tissue.mesh.spacing_across": h / 2, "tissue.mesh.spacing_along": h}
         found = inserted(coarse_scene, drive, {**changes, "solver.track_spacing": h})
         errors.append(np.abs(found - refined) / np.abs(refined))
     assert errors[0].max() < 0.02
-    assert errors[1].max() < 3e-3 and errors[2].max() < 3e-3
+    assert errors[1].max() < 8e-3 and errors[2].max() < 2e-3
+    assert errors[2].max() < 0.3 * errors[1].max()
     # axial force and depth
     assert errors[1][[0, 3]].max() < 1e-3 and errors[2][[0, 3]].max() < 1e-3
 
@@ -135,9 +136,9 @@ def test_refining_the_mesh_alone_changes_little(coarse_scene, drive):
     np.testing.assert_allclose(answers[0], answers[1], rtol=0.005)
 
 
-@pytest.mark.parametrize(("element", "error"), [("quad1", 0.015), ("tri2", 0.02)])
+@pytest.mark.parametrize(("element", "error"), [("quad1", 0.016), ("tri2", 0.02)])
 def test_other_elements_agree(coarse_scene, drive, refined, element, error):
-    """Other elements on a 1 mm mesh, with a track of 2 mm."""
+    """Other elements on a 1 mm mesh, with a track of 2 mm, which is 0.7 % off itself."""
     changes = {
         "tissue.mesh.element": element,
         "tissue.mesh.spacing_across": 1e-3,

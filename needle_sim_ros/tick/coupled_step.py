@@ -199,10 +199,14 @@ class CoupledStep:
                     contact = self._laws.step(contact, step)
                 else:
                     if way is None:
-                        # a settling half takes its forces to act from its start
-                        viscosity = 0.0 if settling else self._viscosity
-                        whole = (end - start) * route.duration
-                        way = OnTheWay(prediction.rows, contact, viscosity, whole, onward)
+                        way = OnTheWay(
+                            prediction.rows,
+                            contact,
+                            self._viscosity,
+                            (end - start) * route.duration,
+                            onward,
+                            settling,
+                        )
                     passed = (share - start) / (end - start)
                     yielded, rows = way.at(passed)
                     at = partial(self._dynamics.at, within._replace(yielded=yielded))

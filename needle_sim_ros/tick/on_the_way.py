@@ -25,6 +25,8 @@ class OnTheWay:
         Of the step, s.
     onward : ndarray, shape (k, d)
         Forces at its end if they went on evenly, N.
+    settling : bool
+        Whether it is a settling half.
     """
 
     def __init__(
@@ -34,11 +36,12 @@ class OnTheWay:
         viscosity: float,
         duration: float,
         onward: Vector,
+        settling: bool,
     ) -> None:
         self._predicted = predicted
         assert begun.track is not None
         self._start = begun.moved - begun.track.table.displacement(begun.forces)
-        self._yielding = Yielding(viscosity, duration, begun.forces, onward)
+        self._yielding = Yielding(viscosity, duration, begun.forces, onward, settling)
 
     def at(self, share: float) -> tuple[Yielded, FreeRows]:
         """Return how the tissue answers after a share of the step, and where it is without."""

@@ -9,7 +9,6 @@ from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.tick.base_motion import AT_REST, BaseMotion, fastest, part_way
 
-
 _NO_TURN = (0.0, 0.0, 0.0)
 
 

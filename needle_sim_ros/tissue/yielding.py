@@ -5,7 +5,8 @@ Newmark's method knows the tissue at the ends of a time step; the contact is fol
 it. While forces change evenly, so does the displacement between the step's ends. To anything
 else the tissue yields as its viscosity lets it: beta u' + u = C f, solved exactly for forces that
 change evenly from one part to the next. What changed evenly since the step's start meets all of
-the step's compliance at its end.
+the step's compliance at its end. A settling half takes its last forces to have acted all along:
+there those of a part act from its start.
 """
 
 from __future__ import annotations
@@ -58,11 +59,16 @@ class Yielding:
         Of the step, s.
     begun, onward : ndarray, shape (k, d)
         Forces at its start, and at its end if they went on evenly, N.
+    settling : bool
+        Whether it is a settling half.
     """
 
-    def __init__(self, viscosity: float, duration: float, begun: Vector, onward: Vector) -> None:
+    def __init__(
+        self, viscosity: float, duration: float, begun: Vector, onward: Vector, settling: bool
+    ) -> None:
         self._pace = duration / viscosity if viscosity > 0 else math.inf
-        self._whole = _evenly(self._pace)[1]
+        self._settling = settling
+        self._whole = self._passed(self._pace)[-1]
         self._begun, self._rise, self._share = begun, onward - begun, 0.0
         self._changed = self._yielded = np.zeros_like(begun)
 
@@ -82,13 +88,15 @@ class Yielding:
 
     def _since(self, share: float) -> tuple[float, float, float]:
         """Return what is left of what it yielded to, and what it does to old and new forces."""
-        left, new = _evenly((share - self._share) * self._pace)
-        return left, (1.0 - left - new) / self._whole, new / self._whole
+        left, old, new = self._passed((share - self._share) * self._pace)
+        return left, old / self._whole, new / self._whole
 
-
-def _evenly(times: float) -> tuple[float, float]:
-    """Return what is left after so many relaxation times, and what is reached of a ramp."""
-    return math.exp(-times), 1.0 + math.expm1(-times) / times
+    def _passed(self, times: float) -> tuple[float, float, float]:
+        """Return the same after so many relaxation times, of the static compliance."""
+        left, gone = math.exp(-times), -math.expm1(-times)
+        if self._settling:
+            return left, 0.0, gone
+        return left, gone / times - left, 1.0 - gone / times
 
 
 def _added(rows: Vector, more: Vector) -> Vector:

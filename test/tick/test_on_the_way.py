@@ -28,7 +28,7 @@ def test_it_starts_where_the_tissue_is(simulator, viscosity):
     contact = begun(simulator)
     table = contact.track.table
     rows = np.full_like(contact.moved, 1e-3)
-    way = OnTheWay(lambda _: rows.copy(), contact, viscosity, 0.05, contact.forces)
+    way = OnTheWay(lambda _: rows.copy(), contact, viscosity, 0.05, contact.forces, False)
     yielded, free = way.at(1e-12)
     forced = table.displacement(yielded.part * contact.forces)
     np.testing.assert_allclose(free(table) + forced, contact.moved, atol=1e-14)
@@ -39,7 +39,7 @@ def test_even_forces_move_it_evenly(simulator):
     contact = begun(simulator)
     table = contact.track.table
     rows, onward = np.full_like(contact.moved, 1e-3), 1.5 * contact.forces
-    way = OnTheWay(lambda _: rows.copy(), contact, 0.01, 0.05, onward)
+    way = OnTheWay(lambda _: rows.copy(), contact, 0.01, 0.05, onward, False)
     end = rows + table.displacement(onward)
     for share in (0.2, 0.5, 0.9):
         yielded, free = way.at(share)
@@ -54,7 +54,7 @@ def test_what_jumps_is_met_by_a_part_of_the_compliance(simulator):
     contact = begun(simulator)
     forces = contact.forces
     parts = [
-        OnTheWay(lambda _: contact.moved.copy(), contact, v, 0.05, forces).at(0.01)[0].part
+        OnTheWay(lambda _: contact.moved.copy(), contact, v, 0.05, forces, False).at(0.01)[0].part
         for v in (0.0, 0.01)
     ]
     assert parts[0] == 1.0

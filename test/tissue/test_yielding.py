@@ -21,21 +21,35 @@ def effective(yielding, share, forces):
     return yielded.kept + yielded.part * forces
 
 
-@given(paces, st.floats(-3.0, 3.0), st.lists(st.floats(0.01, 0.9), min_size=1, max_size=6))
-def test_what_changes_evenly_is_met_at_once(pace, rise, shares):
-    yielding = Yielding(BETA, pace * BETA, BEGUN, (1.0 + rise) * BEGUN)
+several = st.lists(st.floats(0.01, 0.9), min_size=1, max_size=6)
+
+
+@given(paces, st.floats(-3.0, 3.0), several, st.booleans())
+def test_what_changes_evenly_is_met_at_once(pace, rise, shares, settling):
+    yielding = Yielding(BETA, pace * BETA, BEGUN, (1.0 + rise) * BEGUN, settling)
     for share in sorted(set(shares)):
         forces = (1.0 + share * rise) * BEGUN
         np.testing.assert_allclose(effective(yielding, share, forces), forces, atol=1e-12)
         yielding.took(share, forces)
 
 
-@given(paces, st.lists(st.floats(0.01, 0.99), min_size=1, max_size=6))
+@given(paces, several)
 def test_a_kink_at_the_start_meets_all_at_the_end(pace, shares):
     """Forces that rise evenly from the step's start on, however it is divided."""
-    yielding = Yielding(BETA, pace * BETA, BEGUN, BEGUN)
+    yielding = Yielding(BETA, pace * BETA, BEGUN, BEGUN, False)
     for share in sorted(set(shares)):
         yielding.took(share, (1.0 + share) * BEGUN)
+    np.testing.assert_allclose(effective(yielding, 1.0, 2.0 * BEGUN), 2.0 * BEGUN, atol=1e-10)
+
+
+@given(paces, several)
+def test_a_jump_at_the_start_of_a_settling_half_meets_all_at_the_end(pace, shares):
+    yielding = Yielding(BETA, pace * BETA, BEGUN, BEGUN, True)
+    for share in sorted(set(shares)):
+        found = effective(yielding, share, 2.0 * BEGUN) - BEGUN
+        exact = np.expm1(-share * pace) / np.expm1(-pace)
+        np.testing.assert_allclose(found, exact * BEGUN, atol=1e-10)
+        yielding.took(share, 2.0 * BEGUN)
     np.testing.assert_allclose(effective(yielding, 1.0, 2.0 * BEGUN), 2.0 * BEGUN, atol=1e-10)
 
 
@@ -44,7 +58,7 @@ def test_forces_that_go_up_and_down(pace):
     """Deviations from the even course, even between the ends of parts."""
     duration = pace * BETA
     shares, changes = np.array([0.0, 0.1, 0.35, 0.8]), np.array([0.0, 2.0, -1.0, 0.5])
-    yielding = Yielding(BETA, duration, BEGUN, BEGUN)
+    yielding = Yielding(BETA, duration, BEGUN, BEGUN, False)
 
     def rate(t, w, ramp=False):
         f = t / duration if ramp else np.interp(t / duration, shares, changes)
@@ -60,9 +74,9 @@ def test_forces_that_go_up_and_down(pace):
         yielding.took(share, forces)
 
 
-@given(st.floats(0.01, 1.0))
-def test_without_viscosity_it_yields_at_once(share):
-    yielding = Yielding(0.0, 0.01, BEGUN, BEGUN)
+@given(st.floats(0.01, 1.0), st.booleans())
+def test_without_viscosity_it_yields_at_once(share, settling):
+    yielding = Yielding(0.0, 0.01, BEGUN, BEGUN, settling)
     yielding.took(0.5 * share, 3.0 * BEGUN)
     yielded = yielding.to(share)
     assert yielded.part == 1.0
@@ -72,7 +86,7 @@ def test_without_viscosity_it_yields_at_once(share):
 
 def test_rows_come_and_go():
     """A track that grows within the step, and one that is given up."""
-    yielding = Yielding(BETA, 0.01, BEGUN[:1], 2.0 * BEGUN[:1])
+    yielding = Yielding(BETA, 0.01, BEGUN[:1], 2.0 * BEGUN[:1], False)
     yielding.took(0.3, 1.5 * BEGUN)
     yielded = yielding.to(0.6)
     assert yielded.kept.shape == (2, 2)
