@@ -257,12 +257,12 @@ class Simulator:
 
         The parts are 0 where each step decides for itself.
         """
-        contact, rate = state.contact, route.motion.rate
-        jump = jumps(rate, state.rate, self.scene.needle.length)
+        contact, unsettled = state.contact, 0
+        if contact.inserted or contact.touching:
+            jump = jumps(route.motion.rate, state.rate, self.scene.needle.length)
+            unsettled = max(state.unsettled, jump)
         if self._own_step is None:
-            jump = jump or state.unsettled > 0
-            return 1, self._division.of_tick(contact, route, jump), 0
-        unsettled = max(state.unsettled, jump) if contact.inserted or contact.touching else 0
+            return 1, self._division.of_tick(contact, route, unsettled > 0), 0
         return round(route.duration / self._own_step), 0, unsettled
 
     # --------------------------------------------------------------------- observing

@@ -30,7 +30,8 @@ from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 _FORESIGHT = 0.995
-# how close to the cut a step has to come, of its advance: what the tip bears must not hang on it
+# how close to the cut a step has to come, of its advance: what the tip bears must not hang on
+# it, nor what is dragged along after a stop, when the tip makes up for what is missing
 _CLOSE = 0.01
 _MOST_ROUNDS = 400
 # of a segment: just before its middle, where the heading is taken; as close to it a round goes on

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needle_sim_ros.interaction.friction import slip_after
+from needle_sim_ros.interaction.friction import FrictionMemory, FrictionStart, slip_after
 from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.scene import Scene
 
@@ -78,3 +78,28 @@ def test_slow_sliding_is_between_static_and_kinetic(laws):
     for _ in range(100):
         slip = after(laws, slip, SLIDES, 0.1 * 100 * creep, 0.1)
     assert slip == 4e-4
+
+
+@given(st.floats(-1e-3, 1e-3), st.floats(1e-4, 1.0), st.floats(-1e-3, 1e-3), st.floats(1e-4, 1.0))
+def test_what_the_needle_drags_goes_by_its_advance_all_else_by_time(before, lasted, advance, lasts):
+    memory = FrictionMemory(np.zeros(2), np.zeros(2), np.array([1e-4, -2e-4]), before, lasted)
+    status = np.array([1, -1], dtype=np.int8)
+    start = FrictionStart(
+        np.ones(2),
+        np.ones(2),
+        memory.slip,
+        memory.strain,
+        status,
+        advance,
+        memory.slid,
+        memory.pace(advance),
+        memory.lapse(lasts),
+        lasts,
+    )
+    dragged = advance / before if advance * before > 0 else 0.0
+    expected = [dragged if sign * advance > 0 else lasts / lasted for sign in (1, -1)]
+    np.testing.assert_allclose(start.onward, memory.slid * expected, rtol=1e-12)
+
+
+def test_nothing_lasted_before_the_first_step():
+    assert FrictionMemory(*np.zeros((3, 0)), 0.0, 0.0).lapse(0.01) == 1.0
