@@ -13,8 +13,6 @@ C_n that of the needle, kappa the presliding stiffness and l_k the inserted leng
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,14 +25,12 @@ from needle_sim_ros.interaction.sliding import SlidingProblem, TrackForces
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.spreading import LEAST, coverage, tip_share
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.step import Step
 from needle_sim_ros.interaction.task import InsertedTask
 from needle_sim_ros.interaction.track import Track
 from needle_sim_ros.needle import beam, tip
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tissue.response import ResponseTable
-
-if TYPE_CHECKING:
-    from needle_sim_ros.interaction.contact import Step
 
 # Compliance of the tip's own contact, of what tissue of the bevel's size has. Points that
 # stick within the bevel fix the tip's place too: with a rigid tip the presliding, however

@@ -9,7 +9,6 @@ bounded convex problem in the compliances of tissue and needle.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -23,11 +22,11 @@ from needle_sim_ros.interaction.laws import Laws
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.step import Step
 from needle_sim_ros.interaction.stretches import tip_bound
 from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-from needle_sim_ros.tissue.response import Reading, ResponseTable
 
 _FORESIGHT = 0.995
 # how close to the cut a step has to come, of its advance: what the tip bears must not hang on
@@ -47,61 +46,6 @@ _SLIGHT, _UNCUT = 0.05, 0.02
 _SETTLED, _NEAR, _NEAREST = 0.02, 0.001, 0.0001
 # of a step: as late as the surface is broken for sure
 _BROKEN = 1e-6
-
-FreeRows = Callable[[ResponseTable], Vector]
-Sampler = Callable[[ResponseTable, Vector, Reading], Vector]
-
-
-class Step:
-    """What the base does in a step, and what the tissue would do by itself.
-
-    Attributes
-    ----------
-    before, after : BasePose
-    duration : float
-        s.
-    free : callable
-        Displacement of the rows of a table at the end of the step without contact
-        forces, (n, d).
-    sample : callable
-        Displacement (d,) of a footprint, by its reading, under forces on the rows of a table.
-    yielding : float
-        Part of the compliance of the rows that forces at the end of the step meet.
-    fallen : float
-        Part of its fall since the surface broke, that counts of what the tip bears.
-    advance : float
-        How far the base moves along the needle, m.
-    turning : bool
-        Whether the base turns.
-    """
-
-    __slots__ = (
-        "advance",
-        "after",
-        "before",
-        "duration",
-        "fallen",
-        "free",
-        "sample",
-        "turning",
-        "yielding",
-    )
-
-    def __init__(
-        self,
-        before: BasePose,
-        after: BasePose,
-        duration: float,
-        free: FreeRows,
-        sample: Sampler,
-        yielding: float = 1.0,
-        fallen: float = 1.0,
-    ) -> None:
-        self.yielding, self.fallen = yielding, fallen
-        self.before, self.after, self.duration = before, after, duration
-        self.free, self.sample = free, sample
-        self.advance = -after.ahead(before)
-        self.turning = after.terms is not before.terms
 
 
 class Broken(NamedTuple):

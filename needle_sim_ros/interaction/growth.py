@@ -7,8 +7,6 @@ before it, so that at usual speeds no tick bears the whole work.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from needle_sim_ros.errors import CommandError
@@ -17,12 +15,10 @@ from needle_sim_ros.interaction.balance import Balance
 from needle_sim_ros.interaction.coupling import added_up
 from needle_sim_ros.interaction.solution import BalanceSolution
 from needle_sim_ros.interaction.state import AIMED, ContactState
+from needle_sim_ros.interaction.step import Step
 from needle_sim_ros.interaction.track import NextPoint, Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
-
-if TYPE_CHECKING:
-    from needle_sim_ros.interaction.contact import Step
 
 # how far the tip may be beyond the last point of a track that cannot go on, in track spacings
 _BEYOND = 0.5

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.friction import FrictionMemory
 from needle_sim_ros.interaction.lateral_hold import LateralHold
+from needle_sim_ros.interaction.step import Step
 from needle_sim_ros.interaction.track import Track
-
-if TYPE_CHECKING:
-    from needle_sim_ros.interaction.contact import Step
 
 
 class InsertedTask(NamedTuple):

@@ -12,9 +12,10 @@ import numpy as np
 
 from needle_sim_ros.errors import SolverError
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.contact import Contact, Step
+from needle_sim_ros.interaction.contact import Contact
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.step import Step
 from needle_sim_ros.scene import Scene
 from needle_sim_ros.tick.division import Division, ends
 from needle_sim_ros.tick.on_the_way import OnTheWay

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from needle_sim_ros.geometry import Vector
-from needle_sim_ros.interaction.contact import FreeRows
 from needle_sim_ros.interaction.state import ContactState
+from needle_sim_ros.interaction.step import FreeRows
 from needle_sim_ros.tissue.response import ResponseTable
 from needle_sim_ros.tissue.yielding import Yielded, Yielding
 
