@@ -18,6 +18,9 @@ import numpy as np
 
 from needle_sim_ros.geometry import Vector
 
+# relaxation times
+_BRIEF = 1e-5
+
 
 class Yielded(NamedTuple):
     """How the tissue answers forces at an instant within a step.
@@ -96,6 +99,8 @@ class Yielding:
         left, gone = math.exp(-times), -math.expm1(-times)
         if self._settling:
             return left, 0.0, gone
+        if times < _BRIEF:  # the differences below would be of rounding
+            return left, times * (0.5 - times / 3.0), times * (0.5 - times / 6.0)
         return left, gone / times - left, 1.0 - gone / times
 
 

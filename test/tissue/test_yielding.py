@@ -93,3 +93,15 @@ def test_rows_come_and_go():
     assert yielded.acting(np.zeros((3, 2))).shape == (3, 2)
     yielding.took(0.6, np.zeros((0, 2)))
     assert np.isfinite(yielding.to(1.0).kept).all()
+
+
+@pytest.mark.parametrize("share", [1e-17, 1e-9, 0.99e-5, 1.01e-5, 1e-4])
+def test_a_moment_meets_little(share):
+    """Half of the time that has passed, in relaxation times, of the static compliance."""
+    yielding = Yielding(BETA, BETA, BEGUN, BEGUN, False)
+    whole = np.exp(-1.0)  # of a ramp over one relaxation time
+    assert yielding.to(share).part == pytest.approx(0.5 * share / whole, rel=1e-4)
+    yielding.took(share, 2.0 * BEGUN)
+    found = effective(yielding, 3.0 * share, BEGUN) - BEGUN
+    # what was reached by then, 1 of it, and of what is on the way down, 2 of it
+    np.testing.assert_allclose(found, (0.5 + 1.0) * share / whole * BEGUN, rtol=1e-3, atol=1e-15)
