@@ -28,6 +28,7 @@ from needle_sim_ros.interaction.track import Track, TrackLayer
 from needle_sim_ros.needle import tip
 from needle_sim_ros.scene import Scene
 
+# of the cutting rate of the last step, how much the next one is taken to cut beforehand
 _FORESIGHT = 0.995
 # how close to the cut a step has to come, of its advance: what the tip bears must not hang on
 # it, nor what is dragged along after a stop, when the tip makes up for what is missing
@@ -74,11 +75,11 @@ class Contact:
 
     Attributes
     ----------
-    foresight : float
-        Of the cutting rate of the last step, how much the next one is taken to cut beforehand.
+    close : float
+        How close to the cut the tip has to come in a step, of its advance.
     """
 
-    foresight = _FORESIGHT
+    close = _CLOSE
 
     def __init__(self, scene: Scene, layer: TrackLayer, laws: Laws) -> None:
         self._scene, self.layer, self.laws = scene, layer, laws
@@ -224,7 +225,7 @@ class Contact:
         began, deepest = depth, front
         engaged = depth >= front
         if engaged and heading > 0:
-            depth = front = front + self.foresight * rate * advance
+            depth = front = front + _FORESIGHT * rate * advance
         elif not engaged:
             depth = min(max(depth + rate * advance, 0.0), front)
         moved, forces = state.moved, state.forces
@@ -233,7 +234,7 @@ class Contact:
         nearly = _SETTLED * track.spacing
         if heading:
             near = track.spacing * (_NEAR if abs(advance) > _NEAR * track.spacing else _NEAREST)
-            nearly = min(nearly, max(_CLOSE * abs(advance), near))
+            nearly = min(nearly, max(self.close * abs(advance), near))
         status = state.status
         opened = not len(status)
         solves = tries = 0
