@@ -127,7 +127,7 @@ class QuickSimulator(Simulator):
 
     def _steps(self, state: Snapshot, route: Route) -> tuple[int, int, int]:
         spacing = self.scene.solver.track_spacing
-        by_turn = math.ceil(math.hypot(*route.motion.turning) / _MOST_TURN - 1e-9)
+        by_turn = math.ceil(route.motion.angle / _MOST_TURN - 1e-9)
         by_way = math.ceil(route.length / (_FARTHEST * spacing) - 1e-9)
         if state.contact.touching:  # nothing on the way to a puncture depends on the step
             by_way = 1

@@ -54,6 +54,11 @@ class BaseMotion(NamedTuple):
     place: tuple[float, float, float]
     length: float
 
+    @property
+    def angle(self) -> float:
+        """By which the base turns, rad."""
+        return math.hypot(*self.turning) if any(self.rate[3:]) else 0.0
+
 
 AT_REST = (0.0,) * 6
 

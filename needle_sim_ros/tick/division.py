@@ -114,10 +114,7 @@ def half_spacings(way: float, spacing: float) -> int:
 
 def static_parts(motion: BaseMotion, spacing: float) -> int:
     """Return into how many parts of half a track spacing, m, a quasi-static tick falls."""
-    straight = half_spacings(motion.length, spacing)
-    if not any(motion.rate[3:]):
-        return straight
-    return max(straight, math.ceil(math.hypot(*motion.turning) / _TURN))
+    return max(half_spacings(motion.length, spacing), math.ceil(motion.angle / _TURN))
 
 
 def unsteady_parts(speed: float, dt: float, friction: Friction, least: int) -> int:

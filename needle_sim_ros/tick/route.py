@@ -3,13 +3,9 @@
 
 from __future__ import annotations
 
-import math
-
 from needle_sim_ros.geometry import Vector
 from needle_sim_ros.interaction.pose import BasePose
 from needle_sim_ros.tick.base_motion import AT_REST, BaseMotion, fastest, part_way
-
-_NO_TURN = (0.0, 0.0, 0.0)
 
 
 class Route:
@@ -71,9 +67,7 @@ class Route:
 
     def swept(self, length: float) -> float:
         """Return how far the base goes and a needle of some length swings at most, m."""
-        if self.motion.rate[3:] == _NO_TURN:
-            return self.length
-        return self.length + length * math.hypot(*self.motion.turning)
+        return self.length + length * self.motion.angle
 
     def fastest(self, length: float) -> float:
         """Return the speed of a needle of some length, or that before where it was faster, m/s.
